@@ -110,7 +110,9 @@ def from_mapping(
     the wrong type and every value out of range.
     """
     known = {info.path: info for info in settings_of(cls)}
-    groups = {path.rsplit(".", depth)[0] for path in known for depth in range(1, path.count(".") + 1)}
+    groups = {
+        path.rsplit(".", depth)[0] for path in known for depth in range(1, path.count(".") + 1)
+    }
     errors: list[str] = []
     values: dict[str, Any] = flatten(base if base is not None else cls())
     for path, value in _walk(mapping, groups):
@@ -202,7 +204,9 @@ def _yaml_scalar(value: Any) -> str:
     return yaml.safe_dump(value, default_flow_style=True, width=10_000).split("\n...")[0].strip()
 
 
-def _walk(mapping: Mapping[str, Any], groups: set[str], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _walk(
+    mapping: Mapping[str, Any], groups: set[str], prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
     for key, value in mapping.items():
         path = f"{prefix}{key}"
         if isinstance(value, Mapping) and path in groups:
@@ -242,7 +246,8 @@ def _checked(info: SettingInfo, value: Any) -> Any:
     if info.kind is str:
         value = str(value)
         if info.choices and value not in info.choices:
-            raise ConfigError(f"{info.path} must be one of {', '.join(info.choices)}, got '{value}'")
+            choices = ", ".join(info.choices)
+            raise ConfigError(f"{info.path} must be one of {choices}, got '{value}'")
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigError(f"{info.path} takes a number, got {value!r}")

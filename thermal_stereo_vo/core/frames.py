@@ -133,9 +133,9 @@ class CameraView:
 
 @dataclass(frozen=True)
 class RigFrame:
-    """What the rig saw at one instant: role (``left``, ``right``, ``visible``, ``thermal``) -> view.
+    """What the rig saw at one instant.
 
-    A camera that is blind at this instant has no view; ``blind`` says why.  ``skew_ns`` is the
+    ``views`` maps role (``left``, ``right``, ``visible``, ``thermal``) to view.  A camera that is blind at this instant has no view; ``blind`` says why.  ``skew_ns`` is the
     measured stamp difference of the two cameras (second minus first role).
     """
 

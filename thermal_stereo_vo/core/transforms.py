@@ -60,8 +60,11 @@ def exp_so3(phi: ArrayLike) -> Matrix:
     angle = float(np.linalg.norm(phi))
     K = skew(phi)
     if angle < _SMALL_ANGLE_RAD:
-        return np.eye(3) + K + 0.5 * K @ K
-    return np.eye(3) + np.sin(angle) / angle * K + (1.0 - np.cos(angle)) / angle**2 * (K @ K)
+        rotation: Matrix = np.eye(3) + K + 0.5 * K @ K
+        return rotation
+    a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
+    rotation = np.eye(3) + a * K + b * (K @ K)
+    return rotation
 
 
 def log_so3(rotation: Matrix) -> Vector:
@@ -71,7 +74,7 @@ def log_so3(rotation: Matrix) -> Vector:
     norm = float(np.linalg.norm(vector))
     if norm < 1e-12:
         return 2.0 * vector
-    return 2.0 * np.arctan2(norm, scalar) / norm * vector
+    return float(2.0 * np.arctan2(norm, scalar) / norm) * vector
 
 
 def left_jacobian_so3(phi: ArrayLike) -> Matrix:
@@ -80,12 +83,11 @@ def left_jacobian_so3(phi: ArrayLike) -> Matrix:
     angle = float(np.linalg.norm(phi))
     K = skew(phi)
     if angle < _SMALL_ANGLE_RAD:
-        return np.eye(3) + 0.5 * K + K @ K / 6.0
-    return (
-        np.eye(3)
-        + (1.0 - np.cos(angle)) / angle**2 * K
-        + (angle - np.sin(angle)) / angle**3 * (K @ K)
-    )
+        a, b = 0.5, 1.0 / 6.0
+    else:
+        a, b = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    J: Matrix = np.eye(3) + a * K + b * (K @ K)
+    return J
 
 
 def exp_se3(xi: ArrayLike) -> Matrix:

@@ -1,0 +1,1 @@
+"""Recordings, read or simulated, behind one protocol."""

@@ -1,0 +1,1 @@
+"""Rectified rig frames become poses; the methods behind one interface."""

@@ -1,0 +1,1 @@
+"""A known world seen by simulated cameras."""

@@ -1,0 +1,1 @@
+"""Two cameras become one rectified rig frame."""

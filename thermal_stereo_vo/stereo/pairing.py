@@ -150,7 +150,7 @@ class StereoPairer(Generic[Item]):
             yield from self._in_order(Pair(None, item))
 
     def _in_order(self, pair: Pair[Item]) -> Iterator[Pair[Item]]:
-        # A lone item that waited too long may be older than the last pair: it comes too late to use.
+        # A lone item that waited too long may be older than the last pair: too late to use.
         if self._last_pair_ns is None or pair.stamp_ns > self._last_pair_ns:
             self._last_pair_ns = pair.stamp_ns
             yield pair

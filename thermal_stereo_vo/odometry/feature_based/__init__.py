@@ -1,0 +1,1 @@
+"""Thermal stereo odometry on features (Mouats et al. 2015) and what goes beyond it."""
