@@ -1,0 +1,41 @@
+"""Build of the ament_python package; colcon reads the entry points from here."""
+
+import re
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "thermal_stereo_vo"
+VERSION = re.search(
+    r'__version__ = "(.+)"', (Path(__file__).parent / NAME / "__init__.py").read_text()
+).group(1)
+
+# Each is a module of thermal_stereo_vo.nodes with a main(), run as `ros2 run thermal_stereo_vo NAME`.
+NODES = [
+    "rectification_node",
+    "stereo_odometry_node",
+    "replay_node",
+]
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="Visual odometry for a quadrotor with two long-wave infrared cameras",
+    license="Apache-2.0",
+    maintainer="thermal_stereo_vo maintainers",
+    maintainer_email="maintainers@example.org",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [f"{node} = {NAME}.nodes.{node}:main" for node in NODES],
+    },
+)
