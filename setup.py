@@ -1,22 +1,24 @@
 """Build of the ament_python package; colcon reads the entry points from here."""
 
 import re
-from glob import glob
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "thermal_stereo_vo"
-VERSION = re.search(
-    r'__version__ = "(.+)"', (Path(__file__).parent / NAME / "__init__.py").read_text()
-).group(1)
+VERSION = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
 
-# Each is a module of thermal_stereo_vo.nodes with a main(), run as `ros2 run thermal_stereo_vo NAME`.
+# Modules of thermal_stereo_vo.nodes with a main(); `ros2 run thermal_stereo_vo NAME` starts them.
 NODES = [
     "rectification_node",
     "stereo_odometry_node",
     "replay_node",
 ]
+
+
+def files(pattern):
+    return sorted(str(path) for path in Path().glob(pattern))
+
 
 setup(
     name=NAME,
@@ -31,8 +33,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
-        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"share/{NAME}/config", files("config/*.yaml")),
+        (f"share/{NAME}/launch", files("launch/*.launch.py")),
     ],
     zip_safe=True,
     entry_points={
