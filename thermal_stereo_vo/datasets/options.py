@@ -1,0 +1,26 @@
+"""What the command line may say about a source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """Wishes about a recording; each reader heeds those that concern it.
+
+    ``left_topic``, ``right_topic`` and ``ground_truth_topic`` name topics of a bag.
+    ``calibration`` replaces the calibration that travels with the recording.  ``rate_hz`` gives
+    stamps to images that have none, and the frame rate of a simulated run.  ``length_m``, ``seed``
+    and ``overrides`` (``key=value`` texts) shape a simulated run.
+    """
+
+    left_topic: str | None = None
+    right_topic: str | None = None
+    ground_truth_topic: str | None = None
+    calibration: Path | None = None
+    rate_hz: float | None = None
+    length_m: float | None = None
+    seed: int = 0
+    overrides: tuple[str, ...] = ()
