@@ -1,0 +1,103 @@
+"""The way of a frame: the stages in order, one object for replay and for the onboard node.
+
+    RawFrame -> front end -> pairer -> rectifier -> 8-bit view -> odometry -> observers
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.config import group
+from thermal_stereo_vo.core.errors import FrameError
+from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame, RigFrame
+from thermal_stereo_vo.core.results import OdometryResult
+from thermal_stereo_vo.observers import Observer, ObserverList, StageTimer
+from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
+from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
+from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
+from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifier, assemble
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every setting of the pipeline."""
+
+    pairing: PairingConfig = group(PairingConfig, "Which images belong together.")
+    rectification: RectificationConfig = group(RectificationConfig, "Row-aligned images.")
+    agc: AgcConfig = group(AgcConfig, "The 8-bit view.")
+    odometry: OdometryConfig = group(OdometryConfig, "Visual odometry.")
+
+
+class Pipeline:
+    """Strings the stages together.  Close it, also after an error, so that files are finished."""
+
+    def __init__(
+        self,
+        config: Config,
+        calibration: RigCalibration,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        self.odometry = create_odometry(config.odometry)
+        self._roles = self.odometry.requirements.roles
+        self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(config.pairing)
+        self.rectifier = Rectifier(calibration, config.rectification)
+        self._gain = AutomaticGain(config.agc)
+        self._observers = ObserverList(observers)
+        self._timer = StageTimer()
+
+    def warm_up(self) -> None:
+        """Compile or load every kernel before the first frame."""
+        self._gain.warm_up()
+        self.odometry.warm_up()
+
+    def push(self, raw: RawFrame) -> Iterator[OdometryResult]:
+        """Feed one image; yields a result for each rig frame that it completes.
+
+        Raises FrameError for a camera that the method does not use, OutOfOrderError for stamps
+        that do not increase.
+        """
+        if raw.camera not in self._roles:
+            raise FrameError(
+                f"camera '{raw.camera}' is not one of {', '.join(self._roles)}, which the method "
+                "needs"
+            )
+        frame = RadiometricFrame(
+            image=raw.image,
+            stamp_ns=raw.stamp_ns,
+            camera=raw.camera,
+            sequence=raw.sequence,
+            telemetry=raw.telemetry,
+        )
+        for pair in self._pairer.push(self._roles.index(raw.camera), frame):
+            yield self._process(pair)
+
+    def flush(self) -> Iterator[OdometryResult]:
+        """The source has ended: frames that still wait for a partner go on alone."""
+        for pair in self._pairer.flush():
+            yield self._process(pair)
+
+    def close(self) -> None:
+        """Close the observers."""
+        self._observers.close()
+
+    def _process(self, pair: Pair[RadiometricFrame]) -> OdometryResult:
+        with self._timer.stage("rectify"):
+            frame = assemble(self.rectifier, pair.first, pair.second, pair.stamp_ns)
+        if self.odometry.requirements.display:
+            with self._timer.stage("agc"):
+                frame = self._gain.process(frame)
+        return self._estimate(frame)
+
+    def _estimate(self, frame: RigFrame) -> OdometryResult:
+        self._observers.on_rig_frame(frame)
+        result = self.odometry.process(frame)
+        self._observers.on_result(result)
+        if self._observers.wants_points and result.T_world_rig is not None:
+            self._observers.on_points(frame.stamp_ns, self.odometry.local_map())
+        return result
+
+    def take_stage_ms(self) -> dict[str, float]:
+        """Stage -> milliseconds since the last call, without the odometry's own stages."""
+        return self._timer.take()
