@@ -67,11 +67,8 @@ class ImageFileDataset:
 
     def frames(self) -> Iterator[RawFrame]:
         """All frames in order of stamp, the first camera before the second at equal stamps."""
-        streams = [
-            [(image.stamp_ns, order, image) for image in self._files[role]]
-            for order, role in enumerate(self.cameras)
-        ]
-        for stamp_ns, order, image in heapq.merge(*streams, key=lambda entry: entry[:2]):
+        streams = [[(image, role) for image in self._files[role]] for role in self.cameras]
+        for image, role in heapq.merge(*streams, key=lambda entry: entry[0].stamp_ns):
             pixels = read_grey(image.path)
             size = (pixels.shape[1], pixels.shape[0])
             if size != self.image_size:
@@ -79,7 +76,7 @@ class ImageFileDataset:
                     f"{image.path} is {size[0]}x{size[1]} pixels, but the recording began with "
                     f"{self.image_size[0]}x{self.image_size[1]}: all images must have one size"
                 )
-            yield RawFrame(pixels, stamp_ns, self.cameras[order], image.sequence)
+            yield RawFrame(pixels, image.stamp_ns, role, image.sequence)
 
 
 def list_images(folder: Path) -> list[Path]:
