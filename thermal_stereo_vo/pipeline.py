@@ -1,12 +1,15 @@
 """The way of a frame: the stages in order, one object for replay and for the onboard node.
 
-    RawFrame -> front end -> pairer -> rectifier -> 8-bit view -> odometry -> observers
+RawFrame -> front end -> pairer -> rectifier -> 8-bit view -> odometry -> observers
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import group
@@ -39,6 +42,7 @@ class Pipeline:
         calibration: RigCalibration,
         observers: Sequence[Observer] = (),
     ) -> None:
+        self._config = config
         self.odometry = create_odometry(config.odometry)
         self._roles = self.odometry.requirements.roles
         self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(config.pairing)
@@ -71,18 +75,25 @@ class Pipeline:
             telemetry=raw.telemetry,
         )
         for pair in self._pairer.push(self._roles.index(raw.camera), frame):
-            yield self._process(pair)
+            yield self.process(pair)
 
     def flush(self) -> Iterator[OdometryResult]:
         """The source has ended: frames that still wait for a partner go on alone."""
         for pair in self._pairer.flush():
-            yield self._process(pair)
+            yield self.process(pair)
+
+    def reset(self, T_world_rig: NDArray[np.float64]) -> None:
+        """Forget all images and go on from this pose; any stamp may follow."""
+        self._pairer = StereoPairer(self._config.pairing)
+        self._gain.reset()
+        self.odometry.reset(T_world_rig)
 
     def close(self) -> None:
         """Close the observers."""
         self._observers.close()
 
-    def _process(self, pair: Pair[RadiometricFrame]) -> OdometryResult:
+    def process(self, pair: Pair[RadiometricFrame]) -> OdometryResult:
+        """Feed what was paired elsewhere, as a node does that must not fall behind."""
         with self._timer.stage("rectify"):
             frame = assemble(self.rectifier, pair.first, pair.second, pair.stamp_ns)
         if self.odometry.requirements.display:
