@@ -51,7 +51,7 @@ class StatisticsMaker:
         self._sums = np.zeros((4, *blocks), np.float64)
 
     def measure(self, image: NDArray[Any], previous: NDArray[Any]) -> FrameStatistics:
-        """Statistics of ``image`` (H, W) against the frame before it, of the same shape and type."""
+        """Statistics of ``image`` (H, W) against the frame before it, of the same format."""
         samples = float(
             min(image.shape[0], SAMPLES_PER_SIDE) * min(image.shape[1], SAMPLES_PER_SIDE)
         )
