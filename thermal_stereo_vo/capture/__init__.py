@@ -1,0 +1,1 @@
+"""Cameras and frame grabbers; the only room that touches devices."""
