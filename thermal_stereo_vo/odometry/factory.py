@@ -25,9 +25,7 @@ class OdometryConfig:
     window: int = setting(
         0, "Keyframes optimised together; 0 goes from frame to frame as P1.", minimum=0, maximum=0
     )
-    solver: str = setting(
-        DOUBLE_DOGLEG, "Minimiser of the frame-to-frame motion.", choices=SOLVERS
-    )
+    solver: str = setting(DOUBLE_DOGLEG, "Minimiser of the frame-to-frame motion.", choices=SOLVERS)
     seed: int = setting(0, "Seed of every random choice.", minimum=0, maximum=2**31 - 1)
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
     feature: FrameToFrameConfig = group(FrameToFrameConfig, "The frame-to-frame method.")

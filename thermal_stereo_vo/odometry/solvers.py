@@ -119,7 +119,16 @@ def solve_reprojection(
 
 @njit(cache=True, nogil=True)
 def gauss_newton(  # type: ignore[no-untyped-def]
-    T_start, points, observed, weights, camera, scale, motion, max_iterations, gradient_eps, step_eps
+    T_start,
+    points,
+    observed,
+    weights,
+    camera,
+    scale,
+    motion,
+    max_iterations,
+    gradient_eps,
+    step_eps,
 ):
     """Plain Gauss-Newton: ``A d = g`` until the step is small."""
     T, T_new = T_start.copy(), T_start.copy()
@@ -234,9 +243,7 @@ def double_dogleg(  # type: ignore[no-untyped-def]
             cost = new_cost
             A[:] = A_new
             g[:] = g_new
-        converged = (
-            small or _largest(g) <= gradient_eps or radius <= step_eps * (motion + step_eps)
-        )
+        converged = small or _largest(g) <= gradient_eps or radius <= step_eps * (motion + step_eps)
     return T, cost, _unscaled(A, scale), iterations, evaluations, converged
 
 

@@ -54,8 +54,7 @@ class StatusMachine:
         if self._last_measured_ns is None:
             self.status = TrackingStatus.INITIALISING
         elif (
-            self.status is TrackingStatus.LOST
-            or self.unseen_s(stamp_ns) > self._config.coast_max_s
+            self.status is TrackingStatus.LOST or self.unseen_s(stamp_ns) > self._config.coast_max_s
         ):
             self.status = TrackingStatus.LOST
         else:

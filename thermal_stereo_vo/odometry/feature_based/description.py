@@ -31,8 +31,11 @@ class DescriptionConfig:
 
 @dataclass(frozen=True)
 class Features:
-    """Described points: ``pixels`` (N, 2) float32, ``descriptors`` (N, 8) uint64, ``response``
-    (N,) float32, ``bright`` (N,) bool."""
+    """Described points.
+
+    ``pixels`` (N, 2) float32, ``descriptors`` (N, 8) uint64, ``response`` (N,) float32, ``bright``
+    (N,) bool.
+    """
 
     pixels: NDArray[np.float32]
     descriptors: NDArray[np.uint64]
@@ -47,7 +50,7 @@ class FreakDescriber:
     """Describes the points of one image at a time."""
 
     def __init__(self, config: DescriptionConfig) -> None:
-        self._freak = cv2.xfeatures2d.FREAK_create(
+        self._freak = cv2.xfeatures2d.FREAK_create(  # type: ignore[attr-defined]
             config.rotation_invariant, True, config.pattern_scale, 4
         )
 
@@ -66,6 +69,4 @@ class FreakDescriber:
         else:
             kept = np.array([keypoint.class_id for keypoint in keypoints], np.int64)
             words = np.ascontiguousarray(descriptors).view(np.uint64)
-        return Features(
-            points.pixels[kept], words, points.response[kept], points.bright[kept]
-        )
+        return Features(points.pixels[kept], words, points.response[kept], points.bright[kept])

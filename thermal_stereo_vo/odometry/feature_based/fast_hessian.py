@@ -38,9 +38,7 @@ class FastHessianConfig:
         minimum=0.0,
         maximum=1e6,
     )
-    features: int = setting(
-        1200, "Most interest points per image.", minimum=50, maximum=20000
-    )
+    features: int = setting(1200, "Most interest points per image.", minimum=50, maximum=20000)
     cell_px: int = setting(
         64,
         "Side of the image cells that share the points evenly.",
@@ -52,8 +50,11 @@ class FastHessianConfig:
 
 @dataclass(frozen=True)
 class InterestPoints:
-    """``pixels`` (N, 2) float32, ``size_px`` (N,) float32 filter side, ``response`` (N,) float32
-    determinant, ``bright`` (N,) bool: a blob brighter than its surround (negative trace)."""
+    """What the detector found.
+
+    ``pixels`` (N, 2) float32, ``size_px`` (N,) float32 filter side, ``response`` (N,) float32
+    determinant, ``bright`` (N,) bool: a blob brighter than its surround (negative trace).
+    """
 
     pixels: NDArray[np.float32]
     size_px: NDArray[np.float32]
@@ -98,9 +99,7 @@ class FastHessian:
         pixels, size_px, response = interpolate_peaks(
             self._responses, np.array(FILTER_SIDES_PX, np.float32), _TRIPLES, peaks
         )
-        return InterestPoints(
-            pixels, size_px, response, bright_blobs(integral, pixels, size_px)
-        )
+        return InterestPoints(pixels, size_px, response, bright_blobs(integral, pixels, size_px))
 
 
 @njit(cache=True, nogil=True)
@@ -271,9 +270,7 @@ def interpolate_peaks(responses, sides_px, triples, peaks):  # type: ignore[no-u
         if abs(ox) > 1.0 or abs(oy) > 1.0 or abs(os) > 1.0:
             continue
         middle = sides_px[triples[k, 1]]
-        step = (
-            sides_px[triples[k, 2]] - middle if os > 0.0 else middle - sides_px[triples[k, 0]]
-        )
+        step = sides_px[triples[k, 2]] - middle if os > 0.0 else middle - sides_px[triples[k, 0]]
         pixels[n, 0] = x + ox
         pixels[n, 1] = y + oy
         size_px[n] = middle + os * step

@@ -110,13 +110,15 @@ class FrameToFrameOdometry:
                 f"frame at {frame.stamp_ns} ns does not come after {self._last_stamp_ns} ns: "
                 "reset the odometry after a jump of the clock"
             )
-        step_s = 0.0 if self._last_stamp_ns is None else (
-            (frame.stamp_ns - self._last_stamp_ns) * 1e-9
+        step_s = (
+            0.0 if self._last_stamp_ns is None else ((frame.stamp_ns - self._last_stamp_ns) * 1e-9)
         )
         self._last_stamp_ns = frame.stamp_ns
         left, right = frame.views.get(LEFT), frame.views.get(RIGHT)
         if left is None or right is None:
-            reason = ", ".join(f"{role} eye blind ({why.value})" for role, why in frame.blind.items())
+            reason = ", ".join(
+                f"{role} eye blind ({why.value})" for role, why in frame.blind.items()
+            )
             return self._predict(frame.stamp_ns, step_s, TrackStats(), reason or "no images")
         camera = StereoCamera.of(left, right)
         features = self._extract(left, right)
@@ -134,13 +136,13 @@ class FrameToFrameOdometry:
     def _extract_one(self, role: str, view: CameraView):  # type: ignore[no-untyped-def]
         image = view.display
         if image is None:
-            raise ValueError(f"view '{role}' has no 8-bit view: run the frame through the AGC first")
+            raise ValueError(
+                f"view '{role}' has no 8-bit view: run the frame through the AGC first"
+            )
         points = self._detectors[role].detect(image, view.mask)
         return self._describers[role].describe(image, points)
 
-    def _start(
-        self, stamp_ns: int, features: StereoFeatures, stats: TrackStats
-    ) -> OdometryResult:
+    def _start(self, stamp_ns: int, features: StereoFeatures, stats: TrackStats) -> OdometryResult:
         self._reference = _Reference(features, self._pose, stamp_ns)
         return self._result(stamp_ns, self._status.started(stamp_ns), stats, "first frame")
 

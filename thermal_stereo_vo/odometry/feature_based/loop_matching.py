@@ -26,7 +26,11 @@ class LoopMatchingConfig:
         1.5, "Half height of the epipolar band.", unit="px", minimum=0.1, maximum=20.0
     )
     min_disparity_px: float = setting(
-        0.5, "Least disparity; farther points tell too little.", unit="px", minimum=0.0, maximum=50.0
+        0.5,
+        "Least disparity; farther points tell too little.",
+        unit="px",
+        minimum=0.0,
+        maximum=50.0,
     )
     max_disparity_px: float = setting(
         160.0, "Largest disparity.", unit="px", minimum=4.0, maximum=2000.0
@@ -84,8 +88,11 @@ class StereoFeatures:
 
 @dataclass(frozen=True)
 class LoopMatches:
-    """Closed loops.  Each (N, 2) float32 pixels; ``distance`` (N,) summed bits of the four legs;
-    ``index`` (N, 4) int64 into the left, right, previous right, previous left features."""
+    """Closed loops.
+
+    The four images' pixels, (N, 2) float32 each; ``distance`` (N,) summed bits of the four legs;
+    ``index`` (N, 4) int64 into the left, right, previous right, previous left features.
+    """
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
@@ -114,24 +121,39 @@ def match_loops(
         config.wide_motion_radius_px if T_previous_current is None else config.motion_radius_px
     )
     left, right = current.left, current.right
-    partner_r, bits_lr = _leg(left, _row_windows(left.pixels, config, towards_right=True),
-                              right, current.right_grid, current.size, config)
+    partner_r, bits_lr = _leg(
+        left,
+        _row_windows(left.pixels, config, towards_right=True),
+        right,
+        current.right_grid,
+        current.size,
+        config,
+    )
     i_l = np.flatnonzero(partner_r >= 0)
     i_r = partner_r[i_l]
     distance = bits_lr[i_l]
 
-    centres = right.pixels[i_r]
+    centres: NDArray[np.floating] = right.pixels[i_r]
     if T_previous_current is not None:
         centres = camera.predict_right(left.pixels[i_l], right.pixels[i_r], T_previous_current)
-    partner_pr, bits = _leg(_take(right, i_r), _around(centres, radius_px),
-                            previous.right, previous.right_grid, previous.size, config)
+    partner_pr, bits = _leg(
+        _take(right, i_r),
+        _around(centres, radius_px),
+        previous.right,
+        previous.right_grid,
+        previous.size,
+        config,
+    )
     keep = partner_pr >= 0
     i_l, i_r, i_pr, distance = i_l[keep], i_r[keep], partner_pr[keep], (distance + bits)[keep]
 
     partner_pl, bits = _leg(
         _take(previous.right, i_pr),
         _row_windows(previous.right.pixels[i_pr], config, towards_right=False),
-        previous.left, previous.left_grid, previous.size, config,
+        previous.left,
+        previous.left_grid,
+        previous.size,
+        config,
     )
     keep = partner_pl >= 0
     i_l, i_r, i_pr, i_pl = i_l[keep], i_r[keep], i_pr[keep], partner_pl[keep]
@@ -139,8 +161,14 @@ def match_loops(
 
     # Back to where the loop began: the search is centred so that it mirrors the other leg.
     centres = left.pixels[i_l]
-    partner_l, bits = _leg(_take(previous.left, i_pl), _around(centres, radius_px),
-                           left, current.left_grid, current.size, config)
+    partner_l, bits = _leg(
+        _take(previous.left, i_pl),
+        _around(centres, radius_px),
+        left,
+        current.left_grid,
+        current.size,
+        config,
+    )
     keep = partner_l == i_l
     index = np.stack([i_l, i_r, i_pr, i_pl], axis=1)[keep]
     return LoopMatches(
@@ -162,9 +190,16 @@ def _leg(
     config: LoopMatchingConfig,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     partner, distance = match_in_windows(
-        query.descriptors, query.bright, windows,
-        other.pixels, other.descriptors, other.bright,
-        *grid, *size, config.coarse_bits, config.ratio,
+        query.descriptors,
+        query.bright,
+        windows,
+        other.pixels,
+        other.descriptors,
+        other.bright,
+        *grid,
+        *size,
+        config.coarse_bits,
+        config.ratio,
     )
     return partner, distance
 
@@ -192,6 +227,6 @@ def _row_windows(
 def _around(centres: NDArray[np.floating], radius_px: float) -> NDArray[np.float32]:
     """(N, 4) square windows."""
     x, y = centres[:, 0], centres[:, 1]
-    return np.stack(
-        [x - radius_px, x + radius_px, y - radius_px, y + radius_px], axis=1
-    ).astype(np.float32)
+    return np.stack([x - radius_px, x + radius_px, y - radius_px, y + radius_px], axis=1).astype(
+        np.float32
+    )

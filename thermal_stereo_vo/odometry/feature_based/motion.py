@@ -22,29 +22,38 @@ from thermal_stereo_vo.odometry.solvers import Solution, SolverConfig, solve_rep
 class MotionConfig:
     """How outliers are told and the motion refined."""
 
-    ransac_iterations: int = setting(
-        200, "Most 3-point samples.", minimum=1, maximum=100000
-    )
+    ransac_iterations: int = setting(200, "Most 3-point samples.", minimum=1, maximum=100000)
     ransac_confidence: float = setting(
         0.9999, "Stop sampling once a better sample is this unlikely.", minimum=0.5, maximum=1.0
     )
     inlier_px: float = setting(
-        2.0, "Largest reprojection error of an inlier in either eye.", unit="px",
-        minimum=0.05, maximum=50.0,
+        2.0,
+        "Largest reprojection error of an inlier in either eye.",
+        unit="px",
+        minimum=0.05,
+        maximum=50.0,
     )
     refinements: int = setting(
         2, "Rounds of solving on the inliers and choosing them anew.", minimum=1, maximum=10
     )
-    min_inliers: int = setting(
-        10, "Fewer inliers are no measurement.", minimum=6, maximum=1000
+    min_inliers: int = setting(10, "Fewer inliers are no measurement.", minimum=6, maximum=1000)
+    radial_trust: float = setting(
+        0.25,
+        "Tangent of the angle from the optical axis at which the residual calibration error is as "
+        "large as the noise of a feature; points further out weigh less. 0 trusts all alike (P1).",
+        minimum=0.0,
+        maximum=10.0,
     )
     solver: SolverConfig = group(SolverConfig, "Stopping rules of the solvers.")
 
 
 @dataclass(frozen=True)
 class Motion:
-    """``T_current_previous`` (4, 4); ``covariance`` (6, 6) of its left perturbation (rho, phi);
-    ``inliers`` (N,) bool; rms of the inliers' residual components in px."""
+    """A measured motion.
+
+    ``T_current_previous`` (4, 4); ``covariance`` (6, 6) of its left perturbation (rho, phi);
+    ``inliers`` (N,) bool; rms of the inliers' residual components in px.
+    """
 
     T_current_previous: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -83,7 +92,13 @@ def estimate_motion(
         chosen_points = np.ascontiguousarray(points_m[inliers])
         chosen_px = np.ascontiguousarray(observed_px[inliers])
         solution = solve_reprojection(
-            solver, T, chosen_points, chosen_px, np.ones(len(chosen_px)), parameters, config.solver
+            solver,
+            T,
+            chosen_points,
+            chosen_px,
+            radial_weights(chosen_px, camera, config.radial_trust),
+            parameters,
+            config.solver,
         )
         T = solution.T
         used = inliers
@@ -92,15 +107,30 @@ def estimate_motion(
     if int(inliers.sum()) < config.min_inliers:
         return None
     residuals = reprojection_residuals(T, points_m[used], observed_px[used], camera)
-    squares = float(np.sum(residuals**2))
-    variance_px2 = squares / max(residuals.size - 6, 1)
+    variance_px2 = 2.0 * solution.cost / max(residuals.size - 6, 1)
     try:
-        covariance = variance_px2 * np.linalg.inv(solution.A)
+        covariance: NDArray[np.float64] = variance_px2 * np.linalg.inv(solution.A)
     except np.linalg.LinAlgError:
         return None
     if not np.all(np.isfinite(covariance)):
         return None
-    return Motion(T, covariance, inliers, float(np.sqrt(squares / residuals.size)), solution)
+    return Motion(T, covariance, inliers, float(np.sqrt(np.mean(residuals**2))), solution)
+
+
+def radial_weights(
+    observed_px: NDArray[np.float64], camera: StereoCamera, trust: float
+) -> NDArray[np.float64]:
+    """(N,) weights 1 / (1 + (r / trust)^2), r the tangent of the angle from the optical axis.
+
+    What calibration leaves of the lens distortion grows towards the border of the image, and,
+    other than noise, does not average out over frames.
+    """
+    if trust == 0.0:
+        return np.ones(len(observed_px))
+    x = (observed_px[:, 0] - camera.cx) / camera.fx
+    y = (observed_px[:, 1] - camera.cy) / camera.fy
+    weights: NDArray[np.float64] = 1.0 / (1.0 + (x * x + y * y) / trust**2)
+    return weights
 
 
 @njit(cache=True, nogil=True)
@@ -123,7 +153,7 @@ def ransac_motion(  # type: ignore[no-untyped-def]
         if s >= needed:
             break
         a, b, c = samples[s, 0], samples[s, 1], samples[s, 2]
-        if a == b or b == c or a == c:
+        if a in (b, c) or b == c:
             continue
         three_points[0], three_points[1], three_points[2] = points[a], points[b], points[c]
         three_px[0], three_px[1], three_px[2] = observed[a], observed[b], observed[c]
