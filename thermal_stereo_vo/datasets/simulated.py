@@ -1,0 +1,49 @@
+"""A simulated flight as a recording: ``sim:PRESET``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.config import with_overrides
+from thermal_stereo_vo.core.frames import RawFrame
+from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.datasets.options import SourceOptions
+from thermal_stereo_vo.simulation.presets import find_preset
+from thermal_stereo_vo.simulation.simulation import Simulation
+
+
+class SimulatedDataset:
+    """A run that is rendered while it is read."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.name = simulation.preset.name
+        self.cameras = tuple(simulation.rig.cameras)
+
+    def calibration(self) -> RigCalibration:
+        return self.simulation.rig
+
+    def frames(self) -> Iterator[RawFrame]:
+        return self.simulation.frames()
+
+    def ground_truth(self) -> Trajectory:
+        return self.simulation.ground_truth()
+
+    def instants(self) -> int:
+        return self.simulation.instants
+
+
+def open_simulated(preset: str, options: SourceOptions | None = None) -> SimulatedDataset:
+    """The run of this name with the rate, length, seed and settings wished for.
+
+    Raises SimulationError for an unknown preset and ConfigError for unknown settings.
+    """
+    options = options or SourceOptions()
+    config = with_overrides(find_preset(preset).config, options.overrides)
+    if options.rate_hz is not None:
+        config = replace(config, rate_hz=options.rate_hz)
+    if options.length_m is not None:
+        config = replace(config, length_m=options.length_m)
+    return SimulatedDataset(Simulation(preset, config, options.seed))
