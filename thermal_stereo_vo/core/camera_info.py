@@ -193,7 +193,7 @@ def _info(calibration: RigCalibration, role: str) -> CameraInfoFields:
         width=camera.width,
         height=camera.height,
         distortion_model=_model_name(camera),
-        d=tuple(map(float, camera.distortion)) if camera.has_distortion else (0.0,) * 5,
+        d=_coefficients(camera),
         k=_flat(K),
         r=_flat(R),
         p=_flat(P),
@@ -202,10 +202,18 @@ def _info(calibration: RigCalibration, role: str) -> CameraInfoFields:
 
 
 def _model_name(camera: Camera) -> str:
-    if not camera.has_distortion or len(camera.distortion) <= 5:
-        equidistant = camera.has_distortion and camera.model is DistortionModel.EQUIDISTANT
-        return "equidistant" if equidistant else "plumb_bob"
-    return "rational_polynomial"
+    if camera.has_distortion and camera.model is DistortionModel.EQUIDISTANT:
+        return "equidistant"
+    return "rational_polynomial" if len(_coefficients(camera)) > 5 else "plumb_bob"
+
+
+def _coefficients(camera: Camera) -> tuple[float, ...]:
+    if not camera.has_distortion:
+        return (0.0,) * 5
+    numbers = tuple(map(float, camera.distortion))
+    if camera.model is DistortionModel.EQUIDISTANT:
+        return numbers
+    return numbers + (0.0,) * (5 - len(numbers))  # plumb_bob has five
 
 
 def _flat(matrix: NDArray[np.float64]) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -148,6 +148,35 @@ def assemble(
     return RigFrame(stamp_ns=stamp_ns, views=views, blind=blind, skew_ns=skew_ns)
 
 
+def with_rectification(
+    calibration: RigCalibration, config: RectificationConfig
+) -> tuple[RigCalibration, NDArray[np.float64]]:
+    """The same raw cameras with the R and P that ``Rectifier`` would use, and ``T_rig_rectified``.
+
+    The rig frame of the new calibration is the rectified left camera, as in a ``camera_info`` pair:
+    a pose becomes ``T_world_rig @ T_rig_rectified``.
+
+    Raises CalibrationError for a pair that cannot be rectified.
+    """
+    T_rig_rectified = Rectifier(calibration, config).T_rig_rectified
+    T_rectified_rig = inverse(T_rig_rectified)
+    cameras = {
+        role: replace(mounted, T_rig_camera=T_rectified_rig @ mounted.T_rig_camera)
+        for role, mounted in calibration.cameras.items()
+    }
+    if not calibration.rectified:
+        R_left, R_right, P_left, P_right = _rectifying_transforms(calibration, config.alpha)
+        cameras[LEFT] = replace(cameras[LEFT], rectification=R_left, projection=P_left)
+        cameras[RIGHT] = replace(cameras[RIGHT], rectification=R_right, projection=P_right)
+    T_base_rig = calibration.T_base_rig
+    completed = replace(
+        calibration,
+        cameras=cameras,
+        T_base_rig=None if T_base_rig is None else T_base_rig @ T_rig_rectified,
+    )
+    return completed, T_rig_rectified
+
+
 def _rectifying_transforms(
     calibration: RigCalibration, alpha: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -174,7 +203,7 @@ def _rectifying_transforms(
         _coefficients(right.camera),
         left.camera.size,
         np.ascontiguousarray(T_right_left[:3, :3]),
-        np.ascontiguousarray(T_right_left[:3, 3]),
+        T_right_left[:3, 3].reshape(3, 1),
     )
     if fisheye[0]:
         R_left, R_right, P_left, P_right, _ = cv2.fisheye.stereoRectify(
