@@ -1,0 +1,149 @@
+"""What the stereo nodes listen to: two cameras' calibrations, and their images as pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo, Image
+
+from thermal_stereo_vo.core.cameras import LEFT, RIGHT
+from thermal_stereo_vo.core.errors import ThermalStereoError
+from thermal_stereo_vo.core.frames import RadiometricFrame
+from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from thermal_stereo_vo.core.camera_info import CameraInfoFields
+
+EYES = (LEFT, RIGHT)
+
+
+class CalibrationInput:
+    """``left|right/camera_info``: tells both whenever one has changed."""
+
+    def __init__(
+        self,
+        node: runtime.BaseNode[Any],
+        on_calibration: Callable[[CameraInfoFields, CameraInfoFields], None],
+    ) -> None:
+        self._node = node
+        self._on_calibration = on_calibration
+        self._infos: dict[str, CameraInfoFields] = {}
+        self.topics = [f"{eye}/camera_info" for eye in EYES]
+        for eye, topic in zip(EYES, self.topics, strict=True):
+            node.create_subscription(
+                CameraInfo, topic, partial(self._on_info, eye, topic), runtime.RELIABLE
+            )
+
+    def _on_info(self, eye: str, topic: str, message: CameraInfo) -> None:
+        self._node.saw(topic)
+        try:
+            info = conversions.camera_info_from_msg(message)
+            if info == self._infos.get(eye):
+                return
+            self._infos[eye] = info
+            if len(self._infos) == len(EYES):
+                self._on_calibration(self._infos[LEFT], self._infos[RIGHT])
+        except ThermalStereoError as error:
+            self._node.refuse(error)
+
+
+class ImageInput:
+    """``left|right/<name>`` as pairs, from ``open`` to ``close``.
+
+    A stamp that comes again is passed over; one that goes back starts the pairing anew and tells
+    ``on_restart``.  ``masks`` go with the frames of their eye.
+    """
+
+    def __init__(
+        self,
+        node: runtime.BaseNode[Any],
+        name: str,
+        pairing: PairingConfig,
+        on_pair: Callable[[Pair[RadiometricFrame]], None],
+        on_restart: Callable[[str], None],
+    ) -> None:
+        self._node = node
+        self._pairing = pairing
+        self._on_pair = on_pair
+        self._on_restart = on_restart
+        self._guard = runtime.StampGuard()
+        self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(pairing)
+        self._received = dict.fromkeys(EYES, 0)
+        self._repeated = 0
+        self._subscriptions: list[Any] = []
+        self.masks: dict[str, NDArray[np.bool_] | None] = {}
+        self.topics = [f"{eye}/{name}" for eye in EYES]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether images are asked for."""
+        return bool(self._subscriptions)
+
+    def open(self, qos: QoSProfile) -> None:
+        """Ask for images."""
+        self._subscriptions = [
+            self._node.create_subscription(
+                Image,
+                topic,
+                partial(self._on_image, eye, topic),
+                qos,
+                qos_overriding_options=runtime.overridable(),
+            )
+            for eye, topic in zip(EYES, self.topics, strict=True)
+        ]
+
+    def close(self) -> None:
+        """Ask for no more images and forget those that wait."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+        self.restart()
+
+    def restart(self, pairing: PairingConfig | None = None) -> None:
+        """Forget the images that wait for a partner; any stamp may follow."""
+        self._pairing = pairing or self._pairing
+        self._pairer = StereoPairer(self._pairing)
+        self._guard.forget()
+
+    def counters(self) -> tuple[tuple[str, str], ...]:
+        """For diagnostics."""
+        counters = self._pairer.counters
+        return (
+            ("received_left", str(self._received[LEFT])),
+            ("received_right", str(self._received[RIGHT])),
+            ("repeated_stamps", str(self._repeated)),
+            ("pairs", str(counters.pairs)),
+            ("left_alone", str(counters.first_alone)),
+            ("right_alone", str(counters.second_alone)),
+        )
+
+    def _on_image(self, eye: str, topic: str, message: Image) -> None:
+        self._node.saw(topic)
+        stamp_ns = conversions.stamp_from_msg(message.header.stamp)
+        order = self._guard.check(eye, stamp_ns)
+        if order is runtime.StampOrder.REPEATED:
+            self._repeated += 1
+            return
+        if order is runtime.StampOrder.BACK:
+            self._pairer = StereoPairer(self._pairing)
+            self._on_restart(
+                f"the stamps of {self._node.resolve_topic_name(topic)} went back: a recording "
+                "started anew, or two senders publish on the topic"
+            )
+        try:
+            image = conversions.image_from_msg(message)
+            frame = RadiometricFrame(
+                image, stamp_ns, eye, self._received[eye], mask=self.masks.get(eye)
+            )
+            self._received[eye] += 1
+            for pair in self._pairer.push(EYES.index(eye), frame):
+                self._on_pair(pair)
+        except ThermalStereoError as error:
+            self._node.refuse(error)
