@@ -71,6 +71,9 @@ class FastHessian:
     def __init__(self, config: FastHessianConfig) -> None:
         self._config = config
         self._responses = np.zeros((len(FILTER_SIDES_PX), 0, 0), np.float32)
+        # Read-only as the masks of frames are: to the compiler that is part of the type.
+        self._no_mask = np.ones((1, 1), np.bool_)
+        self._no_mask.flags.writeable = False
 
     def detect(
         self, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None
@@ -94,7 +97,7 @@ class FastHessian:
             np.float32(config.threshold),
             config.cell_px,
             per_cell,
-            np.ones((1, 1), np.bool_) if mask is None else mask,
+            self._no_mask if mask is None else mask,
         )
         pixels, size_px, response = interpolate_peaks(
             self._responses, np.array(FILTER_SIDES_PX, np.float32), _TRIPLES, peaks

@@ -109,7 +109,7 @@ def estimate_motion(
     residuals = reprojection_residuals(T, points_m[used], observed_px[used], camera)
     variance_px2 = 2.0 * solution.cost / max(residuals.size - 6, 1)
     try:
-        covariance: NDArray[np.float64] = variance_px2 * np.linalg.inv(solution.A)
+        covariance = np.asarray(variance_px2 * np.linalg.inv(solution.A), np.float64)
     except np.linalg.LinAlgError:
         return None
     if not np.all(np.isfinite(covariance)):

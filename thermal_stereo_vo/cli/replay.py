@@ -1,0 +1,99 @@
+"""``replay SOURCE --output DIR``: the odometry over a recording, with all its figures."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from thermal_stereo_vo.cli.config_arguments import (
+    add_config_arguments,
+    load_config,
+    simulation_overrides,
+)
+from thermal_stereo_vo.cli.progress import progress
+from thermal_stereo_vo.cli.source_arguments import add_source_arguments, source_options
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``replay``."""
+    add_source_arguments(parser)
+    add_config_arguments(parser)
+    parser.add_argument(
+        "--ground-truth", type=Path, metavar="F", help="true trajectory, when the source has none"
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument("--no-plot", action="store_true", help="write no picture")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, write DIR, print the table."""
+    from thermal_stereo_vo.core.cameras import default_T_base_rig
+    from thermal_stereo_vo.core.trajectory import Trajectory
+    from thermal_stereo_vo.datasets.registry import open_dataset, require_calibration
+    from thermal_stereo_vo.evaluation.metrics import evaluate
+    from thermal_stereo_vo.evaluation.report import metrics_report, timing_report
+    from thermal_stereo_vo.outputs.bag_writer import ResultBag
+    from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
+    from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
+    from thermal_stereo_vo.replay import replay
+    from thermal_stereo_vo.stereo.rectification import Rectifier
+
+    config = load_config(args)
+    dataset, reason = open_dataset(args.source, source_options(args, simulation_overrides(args)))
+    calibration = require_calibration(dataset)
+    rectifier = Rectifier(calibration, config.rectification)
+    T_base_rig = rectifier.rectified_calibration.T_base_rig
+    given = None
+    say = _silent if args.quiet else print
+    say(f"{args.source}: {reason}")
+
+    with RunFolder(args.output) as folder:
+        files = TrajectoryFiles(folder.path)
+        bag = ResultBag(
+            folder.path / "result.mcap", default_T_base_rig() if T_base_rig is None else T_base_rig
+        )
+        with progress(dataset.instants(), "pair", quiet=args.quiet) as step:
+            replayed = replay(dataset, calibration, config, [files, bag], on_progress=step)
+        folder.write_json("timing.json", replayed.timing.as_dict())
+        truth = given if given is not None else dataset.ground_truth()
+        if truth is not None:
+            # The result is the rectified left camera; so must be what it is compared with.
+            truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ rectifier.T_rig_rectified)
+            metrics = evaluate(files.trajectory, truth, frame_stamps_ns=files.frame_stamps_ns)
+            folder.write_json("metrics.json", metrics.as_dict())
+            say(metrics_report(metrics))
+        else:
+            metrics = None
+            say("no ground truth: nothing to compare with")
+        if not args.no_plot:
+            from thermal_stereo_vo.outputs.plots import plot_run
+
+            plot_run(
+                folder.path / "trajectory.png",
+                files.trajectory,
+                truth,
+                metrics,
+                title=f"{dataset.name}: {config.odometry.method}, {config.odometry.solver}",
+            )
+        say(timing_report(replayed.timing))
+        folder.write_json(
+            "run.json",
+            run_record(
+                settings=config,
+                calibration=calibration,
+                source=args.source,
+                source_reason=reason,
+                command_line=sys.argv,
+                statuses={status.value: count for status, count in files.status_counts.items()},
+            ),
+        )
+    say(f"results are in {args.output}")
+    return 0
+
+
+def _silent(_: str) -> None:
+    """Say nothing."""
