@@ -32,9 +32,9 @@ _OF_ROS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 class Parameters(Generic[Config]):
     """The settings of a node, always valid.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides``.  A file
-    of settings may be shared: keys in ``shared`` belong to other nodes and are passed over.  Only
-    the settings in ``live`` can be changed while the node runs; ``on_change`` is told.
+    A file of settings may serve several nodes and the replay: keys in ``shared`` that this node
+    does not have are passed over.  Only the settings in ``live`` can be changed while the node
+    runs; ``on_change`` is told.
 
     Raises ConfigError that lists every override that is unknown or out of range.
     """
@@ -49,22 +49,20 @@ class Parameters(Generic[Config]):
         on_change: Callable[[Config], None] = lambda config: None,
     ) -> None:
         infos = {info.path: info for info in settings_of(config_type)}
-        self._paths = frozenset(infos)
+        self._infos = infos
         self._on_change = on_change
-        given = {
-            name: parameter.value
-            for name, parameter in node.get_parameters_by_prefix("").items()
-            if not name.startswith(_OF_ROS)
-        }
         foreign = set(shared) - set(infos)
+        # rclpy has no public way to see overrides that nobody declared, so misspelt ones; letting
+        # it declare them all fails on a null.
+        given = {
+            name: _plain(parameter.value, infos.get(name))
+            for name, parameter in node._parameter_overrides.items()
+            if not name.startswith(_OF_ROS) and name not in foreign
+        }
         try:
-            self.config: Config = from_mapping(
-                config_type, {name: _plain(v) for name, v in given.items() if name not in foreign}
-            )
+            self.config: Config = from_mapping(config_type, given)
         except ConfigError as error:
             raise ConfigError(f"parameters of {node.get_fully_qualified_name()}: {error}") from None
-        for name in given:
-            node.undeclare_parameter(name)
         for path, value in flatten(self.config).items():
             node.declare_parameter(
                 path,
@@ -76,7 +74,11 @@ class Parameters(Generic[Config]):
         node.add_post_set_parameters_callback(self._take_over)
 
     def _changed(self, parameters: list[Parameter]) -> Config:
-        mine = {p.name: _plain(p.value) for p in parameters if p.name in self._paths}
+        mine = {
+            parameter.name: _plain(parameter.value, self._infos[parameter.name])
+            for parameter in parameters
+            if parameter.name in self._infos
+        }
         return from_mapping(type(self.config), mine, base=self.config)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -116,6 +118,10 @@ def descriptor(info: SettingInfo, *, read_only: bool) -> ParameterDescriptor:
     return result
 
 
-def _plain(value: Any) -> Any:
-    """ROS arrays as lists."""
+def _plain(value: Any, info: SettingInfo | None) -> Any:
+    """A parameter's value as a YAML file of settings would give it."""
+    if info is not None and info.kind is tuple and value is None:
+        return []  # rcl reads an empty list as nothing
+    if info is not None and info.optional and value in ("null", "~", ""):
+        return None  # rcl knows no null
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -28,6 +28,7 @@ from thermal_stereo_vo.core.errors import ThermalStereoError
 from thermal_stereo_vo.nodes.conversions import diagnostics_to_msg
 from thermal_stereo_vo.nodes.parameters import Parameters
 from thermal_stereo_vo.outputs.ros_fields import ERROR, WARN, DiagnosticFields
+from thermal_stereo_vo.pipeline import Config as PipelineConfig
 
 Config = TypeVar("Config")
 
@@ -187,13 +188,13 @@ class BaseNode(Node, Generic[Config]):  # type: ignore[misc]
     """Lines for ``--help``."""
     LIVE: ClassVar[Collection[str]] = ()
 
-    def __init__(self, shared: Collection[str] = ()) -> None:
-        super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True)
+    def __init__(self) -> None:
+        super().__init__(self.NAME)
         self.parameters: Parameters[Config] = Parameters(
             self,
             self.CONFIG,
             live=self.LIVE,
-            shared=shared,
+            shared={info.path for info in settings_of(PipelineConfig)},
             on_change=self.on_settings,
         )
         self.failure: BaseException | None = None
