@@ -8,10 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from thermal_stereo_vo.core.config import group
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame
-from thermal_stereo_vo.radiometry.flat_field import FlatField, FlatFieldConfig, FlatFieldStatus
+from thermal_stereo_vo.radiometry.flat_field import (
+    FlatField,
+    FlatFieldCalibration,
+    FlatFieldConfig,
+    FlatFieldStatus,
+)
 from thermal_stereo_vo.radiometry.flat_field_file import load_flat_field
 from thermal_stereo_vo.radiometry.gate import (
     FrameGate,
@@ -20,6 +27,7 @@ from thermal_stereo_vo.radiometry.gate import (
     GateEvent,
     GateState,
 )
+from thermal_stereo_vo.radiometry.scene_based import SceneBasedConfig, SceneBasedCorrection
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,7 @@ class FrontEndConfig:
 
     gate: GateConfig = group(GateConfig, "Which frames show the scene.")
     flat_field: FlatFieldConfig = group(FlatFieldConfig, "Stored shutterless flat field.")
+    scene_based: SceneBasedConfig = group(SceneBasedConfig, "Refinement of the pattern in flight.")
 
 
 class ThermalFrontEnd:
@@ -53,6 +62,9 @@ class ThermalFrontEnd:
         self.gate = FrameGate(config.gate, camera, on_event)
         self.decision = GateDecision(GateState.TRACKING, 0)
         self._flat_field = _open_flat_field(config.flat_field, camera)
+        self._scene_based: SceneBasedCorrection | None = None
+        if config.scene_based.enabled:
+            self._scene_based = SceneBasedCorrection(config.scene_based)
 
     @property
     def flat_field_status(self) -> FlatFieldStatus | None:
@@ -79,6 +91,10 @@ class ThermalFrontEnd:
             if self._flat_field is not None:
                 kelvin = None if raw.telemetry is None else raw.telemetry.fpa_temperature_kelvin
                 image = self._flat_field.process(image, kelvin, raw.stamp_ns)
+            if self._scene_based is not None:
+                image = self._scene_based.process(
+                    image, settled=decision.settled, epoch=decision.epoch
+                )
         return RadiometricFrame(
             image=image,
             stamp_ns=raw.stamp_ns,
@@ -89,9 +105,44 @@ class ThermalFrontEnd:
             telemetry=raw.telemetry,
         )
 
+    def warm_up(self) -> None:
+        """Compile the kernels, so that the first frames are not late."""
+        warm_up()
+
     def reset(self) -> None:
         """Forget all images: the clock was set back or another recording begins."""
         self.gate.reset()
+
+
+def warm_up() -> None:
+    """Compile every kernel of gate, flat field and scene-based refinement for both image types."""
+    coefficients, bad = np.zeros((2, 64, 64), np.float32), np.eye(64, dtype=np.bool_)
+    one, nothing = np.ones((2, 64, 64), np.float32), np.zeros(1)
+    for gain in (one, one[:1]):
+        calibration = FlatFieldCalibration(
+            "",
+            "",
+            280.0,
+            320.0,
+            300.0,
+            20.0,
+            nothing,
+            coefficients.copy(),
+            gain.copy(),
+            bad.copy(),
+            nothing,
+            nothing,
+            nothing,
+        )
+        for dtype in (np.uint8, np.uint16):
+            ramp = np.arange(64 * 64).reshape(64, 64).astype(dtype)
+            raws = [RawFrame(ramp * dtype(k), k, "") for k in range(1, 4)]
+            gate, flat_field = FrameGate(), FlatField(calibration)
+            scene_based = SceneBasedCorrection(SceneBasedConfig(min_change=0.0))
+            for raw in raws:
+                gate.process(raw)
+                corrected = flat_field.process(raw.image, 300.0, raw.stamp_ns)
+                scene_based.process(corrected, settled=True, epoch=0)
 
 
 def _open_flat_field(config: FlatFieldConfig, camera: str) -> FlatField | None:
