@@ -206,8 +206,9 @@ class BaseNode(Node, Generic[Config]):  # type: ignore[misc]
         self._health = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._tick = self.create_timer(1.0, self._report, clock=steady_clock())
         self._jump = self.get_clock().create_jump_callback(
+            # A change between wall and simulated time is a start, not a jump.
             JumpThreshold(
-                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
             ),
             post_callback=self._jumped,
         )
