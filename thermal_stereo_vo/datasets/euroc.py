@@ -28,6 +28,7 @@ from thermal_stereo_vo.core.transforms import (
 from thermal_stereo_vo.datasets.image_files import ImageFile, ImageFileDataset, list_images
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.datasets.replaced_calibration import replaced_calibration
+from thermal_stereo_vo.datasets.truth import true_poses
 
 GROUND_TRUTH = "state_groundtruth_estimate0"
 
@@ -115,9 +116,7 @@ def _ground_truth(folder: Path, T_body_left: NDArray[np.float64]) -> Trajectory:
             ) from None
         stamps.append(stamp)
         poses.append(make_transform(rotation, [x, y, z]) @ T_sensor_left)
-    if not stamps:
-        raise DatasetError(f"{path} holds no poses")
-    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses))
+    return true_poses(stamps, poses, str(path))
 
 
 def _mount(path: Path) -> NDArray[np.float64]:

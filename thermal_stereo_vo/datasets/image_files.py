@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.errors import DatasetError
@@ -49,8 +50,7 @@ class ImageFileDataset:
         self._files = {role: tuple(images) for role, images in files.items()}
         self._calibration = calibration
         self._ground_truth = ground_truth
-        for role, images in self._files.items():
-            _check_order(role, images)
+        check_order(self._files)
         self.image_size = check_sizes(self._files)
 
     def calibration(self) -> RigCalibration | None:
@@ -105,9 +105,11 @@ def read_grey(path: Path) -> Image:
     return decode_grey(data, str(path))
 
 
-def decode_grey(data: np.ndarray[tuple[int], np.dtype[np.uint8]], origin: str) -> Image:
+def decode_grey(data: NDArray[np.uint8], origin: str) -> Image:
     """As ``read_grey``, from the (N,) bytes of an encoded image; ``origin`` is for messages."""
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    image = None
+    if len(data) and not _is_cut_short(data):  # OpenCV would grumble on stderr
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DatasetError(
             f"{origin} is no readable image ({len(data)} bytes): it is damaged or cut short; "
@@ -152,13 +154,18 @@ def check_sizes(files: Mapping[str, Sequence[ImageFile]]) -> tuple[int, int]:
     return next(iter(sizes.values()))
 
 
-def _check_order(role: str, images: Sequence[ImageFile]) -> None:
-    if not images:
-        raise DatasetError(f"camera '{role}' has no images")
-    for before, after in pairwise(images):
-        if after.stamp_ns <= before.stamp_ns:
-            raise DatasetError(
-                f"stamps of camera '{role}' do not increase: {after.path.name} at "
-                f"{after.stamp_ns} ns comes after {before.path.name} at {before.stamp_ns} ns; sort "
-                "or correct the stamps"
-            )
+def _is_cut_short(data: NDArray[np.uint8]) -> bool:
+    """A PNG without its last chunk."""
+    return data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-16:].tobytes()
+
+
+def check_order(files: Mapping[str, Sequence[ImageFile]]) -> None:
+    """Raise DatasetError unless the stamps of every camera increase strictly."""
+    for role, images in files.items():
+        for before, after in pairwise(images):
+            if after.stamp_ns <= before.stamp_ns:
+                raise DatasetError(
+                    f"stamps of camera '{role}' do not increase: {after.path.name} at "
+                    f"{after.stamp_ns} ns comes after {before.path.name} at {before.stamp_ns} ns; "
+                    "sort or correct the stamps"
+                )

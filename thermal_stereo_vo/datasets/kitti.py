@@ -24,11 +24,13 @@ from thermal_stereo_vo.core.transforms import make_transform, orthonormalised
 from thermal_stereo_vo.datasets.image_files import (
     ImageFile,
     ImageFileDataset,
+    check_order,
     list_images,
     read_grey,
 )
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.datasets.replaced_calibration import replaced_calibration
+from thermal_stereo_vo.datasets.truth import true_poses
 
 RATE_HZ = 10.0
 
@@ -69,6 +71,7 @@ def open_kitti_odometry(folder: Path, eyes: EyeFolders, options: SourceOptions) 
     times = folder / "times.txt"
     times_ns = _read_seconds(times) if times.is_file() else None
     files = {role: _stamped(images, times_ns, times, options) for role, images in paths.items()}
+    check_order(files)
     calibration = replaced_calibration(options, paths[LEFT][0])
     if calibration is None and (folder / "calib.txt").is_file():
         height, width = read_grey(paths[LEFT][0]).shape
@@ -191,8 +194,6 @@ def _read_poses(path: Path, images: Sequence[ImageFile]) -> Trajectory:
     if rows.shape[1] != 12:
         raise DatasetError(f"{path} has {rows.shape[1]} numbers a row: poses need 12 (3x4)")
     places = _rows_of([image.sequence for image in images], len(rows), path)
-    poses = [make_transform(T[:, :3], T[:, 3]) for T in rows.reshape(-1, 3, 4)]
-    return Trajectory(
-        np.array([image.stamp_ns for image in images], dtype=np.int64),
-        np.array([orthonormalised(poses[place]) for place in places]),
-    )
+    poses = [orthonormalised(make_transform(T[:, :3], T[:, 3])) for T in rows.reshape(-1, 3, 4)]
+    stamps = [image.stamp_ns for image in images]
+    return true_poses(stamps, [poses[place] for place in places], str(path))

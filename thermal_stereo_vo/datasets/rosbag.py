@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -18,6 +17,7 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration, default_
 from thermal_stereo_vo.core.errors import DatasetError, ThermalStereoError
 from thermal_stereo_vo.core.frames import RawFrame, Telemetry
 from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.transforms import Matrix
 from thermal_stereo_vo.datasets.bag_messages import (
     CAMERA_INFO,
     DIAGNOSTICS,
@@ -36,6 +36,7 @@ from thermal_stereo_vo.datasets.bag_topics import (
     is_rectified_name,
 )
 from thermal_stereo_vo.datasets.options import SourceOptions
+from thermal_stereo_vo.datasets.truth import true_poses
 from thermal_stereo_vo.outputs.ros_fields import world_pose
 
 TELEMETRY_AGE_NS = 2_000_000_000
@@ -93,17 +94,7 @@ class RosbagDataset:
         T_base_rig = None if self._calibration is None else self._calibration.T_base_rig
         if T_base_rig is None:
             T_base_rig = default_T_base_rig()
-        stamps, poses = [], []
-        with open_bag_reader(self._path) as reader:
-            for kind, log_ns, message in read_messages(reader, [topic], self._path):
-                T, child = pose_of(message, kind, topic)
-                is_rig = child == "rig" or child.endswith("_optical")
-                stamps.append(stamp_of(message, log_ns))
-                poses.append(T if is_rig else world_pose(T, T_base_rig))
-        try:
-            return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses))
-        except ThermalStereoError as error:
-            raise DatasetError(f"the true poses of {topic} in {self._path}: {error}") from None
+        return read_bag_poses(self._path, topic, T_base_rig)
 
     def _frames_of(self, role: str) -> Iterator[RawFrame]:
         topic = self.topics[role]
@@ -223,6 +214,22 @@ def read_messages(
                 return
             message = reader.deserialize(data, connection.msgtype)
         yield connection.msgtype, log_ns, message
+
+
+def read_bag_poses(path: Path, topic: str, T_base_rig: Matrix) -> Trajectory:
+    """The poses of a topic of odometry or stamped poses, as poses of the rig.
+
+    Poses of a frame called ``rig`` or ending in ``_optical`` are the rig's own; all others are
+    taken for ``base_link``.  Raises DatasetError for poses that are none.
+    """
+    stamps, poses = [], []
+    with open_bag_reader(path) as reader:
+        for kind, log_ns, message in read_messages(reader, [topic], path):
+            T, child = pose_of(message, kind, topic)
+            is_rig = child == "rig" or child.endswith("_optical")
+            stamps.append(stamp_of(message, log_ns))
+            poses.append(T if is_rig else world_pose(T, T_base_rig))
+    return true_poses(stamps, poses, f"{topic} in {path}")
 
 
 @contextmanager
