@@ -69,7 +69,9 @@ class Camera:
 
     @property
     def has_distortion(self) -> bool:
-        """True when a non-zero coefficient bends rays."""
+        """True when the lens bends rays: the equidistant one does so without coefficients too."""
+        if self.model is DistortionModel.EQUIDISTANT:
+            return True
         return self.model is not DistortionModel.NONE and any(self.distortion)
 
     def without_distortion(self) -> Camera:
