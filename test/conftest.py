@@ -6,9 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED_DATA = REPOSITORY.parent / "shared" / "data"
+
+# No deadline: the first call of a kernel compiles it.
+settings.register_profile("thermal_stereo_vo", deadline=None, print_blob=True)
+settings.load_profile("thermal_stereo_vo")
 
 
 @pytest.fixture

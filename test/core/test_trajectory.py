@@ -1,0 +1,60 @@
+"""Trajectories refuse what no evaluation could use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermal_stereo_vo.core.errors import EvaluationError
+from thermal_stereo_vo.core.trajectory import Trajectory
+
+
+def poses(positions):
+    T = np.tile(np.eye(4), (len(positions), 1, 1))
+    T[:, :3, 3] = positions
+    return T
+
+
+def test_lengths_and_positions():
+    trajectory = Trajectory(
+        np.array([10, 20, 40]), poses([[0, 0, 0], [3.0, 4.0, 0], [3.0, 4.0, 2.0]])
+    )
+    assert len(trajectory) == 3
+    np.testing.assert_allclose(trajectory.path_lengths_m, [0.0, 5.0, 7.0])
+    np.testing.assert_allclose(trajectory.positions_m[1], [3.0, 4.0, 0.0])
+
+
+def test_an_empty_trajectory_and_one_pose_are_allowed():
+    assert len(Trajectory(np.zeros(0, np.int64), np.zeros((0, 4, 4)))) == 0
+    np.testing.assert_array_equal(Trajectory(np.array([5]), poses([[1, 1, 1]])).path_lengths_m, [0])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "T"),
+    [
+        (np.array([1, 2]), poses([[0, 0, 0]])),
+        (np.array([1]), np.zeros((1, 3, 4))),
+        (np.array([[1, 2]]), poses([[0, 0, 0]])),
+    ],
+    ids=["count", "3x4", "stamps 2-D"],
+)
+def test_shapes_must_fit(stamps, T):
+    with pytest.raises(EvaluationError, match=r"stamps cannot have poses of shape"):
+        Trajectory(stamps, T)
+
+
+@pytest.mark.parametrize("stamps", [[1, 5, 5], [1, 5, 4]], ids=["repeated", "backwards"])
+def test_stamps_must_increase_and_the_message_names_the_pose(stamps):
+    with pytest.raises(
+        EvaluationError,
+        match=rf"stamps must increase strictly, but pose 2 at {stamps[2]} ns does not come after "
+        "5 ns",
+    ):
+        Trajectory(np.array(stamps), poses(np.zeros((3, 3))))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_must_be_finite(value):
+    T = poses([[0, 0, 0], [value, 0, 0]])
+    with pytest.raises(EvaluationError, match="must not hold NaN or infinite numbers"):
+        Trajectory(np.array([1, 2]), T)
