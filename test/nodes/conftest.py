@@ -76,14 +76,18 @@ class TexturedRamp:
 
 
 @pytest.fixture(scope="session")
-def ramp_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def textured_ramp() -> TexturedRamp:
+    return TexturedRamp(np.random.default_rng(5))
+
+
+@pytest.fixture(scope="session")
+def ramp_bag(tmp_path_factory: pytest.TempPathFactory, textured_ramp: TexturedRamp) -> Path:
     """A bag of 24 pairs at 10 Hz of a rig that flies and turns before a textured ramp."""
     from thermal_stereo_vo.core.camera_info import infos_from_calibration
     from thermal_stereo_vo.outputs.bag_writer import BagWriter
     from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
 
-    rng = np.random.default_rng(5)
-    ramp = TexturedRamp(rng)
+    rng = np.random.default_rng(6)
     raw = raw_calibration()
     infos = infos_from_calibration(with_rectification(raw, RectificationConfig())[0])
     path = tmp_path_factory.mktemp("recording") / "ramp"
@@ -92,7 +96,7 @@ def ramp_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             stamp_ns = 1_700_000_000_000_000_000 + i * 100_000_000
             T_world_rig = exp_se3([0.05 * i, 0.01 * i, 0.08 * i, 0.002 * i, -0.004 * i, 0.003 * i])
             for eye, mounted in raw.cameras.items():
-                image = ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
+                image = textured_ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
                 noisy = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
                 bag.write_image(f"/{eye}/image_raw", stamp_ns, noisy, f"{eye}_optical")
                 bag.write_camera_info(f"/{eye}/camera_info", stamp_ns, infos[eye], f"{eye}_optical")
