@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -116,6 +117,10 @@ def from_mapping(
     errors: list[str] = []
     values: dict[str, Any] = flatten(base if base is not None else cls())
     for path, value in _walk(mapping, groups):
+        if path in groups:
+            if value is not None:  # a group without content changes nothing
+                errors.append(f"{path} is a group of settings, got {value!r}")
+            continue
         info = known.get(path)
         if info is None:
             errors.append(_unknown(path, [*known, *groups]))
@@ -156,7 +161,7 @@ def load_yaml(cls: type[Config], text: str, *, origin: str, base: Config | None 
     # A ROS parameter file holds the same keys below "node name: ros__parameters:".
     for value in mapping.values():
         if isinstance(value, dict) and "ros__parameters" in value:
-            mapping = value["ros__parameters"]
+            mapping = value["ros__parameters"] or {}
             break
     try:
         return from_mapping(cls, mapping, base=base)
@@ -249,10 +254,11 @@ def _checked(info: SettingInfo, value: Any) -> Any:
             choices = ", ".join(info.choices)
             raise ConfigError(f"{info.path} must be one of {choices}, got '{value}'")
         return value
+    value = _number(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigError(f"{info.path} takes a number, got {value!r}")
     if info.kind is int:
-        if value != int(value):
+        if not math.isfinite(value) or value != int(value):
             raise ConfigError(f"{info.path} takes a whole number, got {value!r}")
         value = int(value)
     else:
@@ -262,6 +268,16 @@ def _checked(info: SettingInfo, value: Any) -> Any:
     if too_low or too_high:
         raise ConfigError(f"{info.path} = {value:g} is out of range: {describe(info)}")
     return value
+
+
+def _number(value: Any) -> Any:
+    """The float of a text such as ``1e-4``, which YAML 1.1 does not take for a number."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return value
 
 
 def _build(cls: type[Config], values: Mapping[str, Any], prefix: str) -> Config:
