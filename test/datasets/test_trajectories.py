@@ -64,7 +64,7 @@ def sources(tmp_path, flown):
     write_kitti(tmp_path / "k.txt", list(flown.T_world_rig))
     write_euroc(tmp_path / "e.csv", flown)
     write_bag(tmp_path / "base", {"/odom": flown})
-    write_bag(tmp_path / "rig", {"/ground_truth/odom": flown}, child="rig")
+    write_bag(tmp_path / "rig", {"/vio/pose": flown}, child="rig")
     return tmp_path
 
 
@@ -165,6 +165,10 @@ def test_topics_of_a_bag_are_told_apart(tmp_path, flown):
         tmp_path / "both", tmp_path / "both", estimate_topic="/ground_truth/pose"
     )
     assert swapped.trajectory.positions_m[0, 0] == pytest.approx(0.0)
+
+    write_bag(tmp_path / "only_truth", {"/ground_truth/pose": flown})
+    with pytest.raises(DatasetError, match="name one with --estimate-topic"):
+        load_pair(tmp_path / "only_truth", tmp_path / "both")
 
     write_bag(tmp_path / "unnamed", {"/a": flown, "/b": flown})
     with pytest.raises(

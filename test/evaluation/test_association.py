@@ -101,10 +101,28 @@ def test_what_cannot_be_compared_is_refused():
         r"the ground truth \(2 poses, 7.000 to 8.000 s\): take both from the same recording",
     ):
         compare(a, trajectory([7 * 10**9, 8 * 10**9]))
+    # A truth that runs on for days, or a single wild stamp, must not fill the memory.
+    far = trajectory([0, 10**9, 10**18])
+    with pytest.raises(
+        EvaluationError,
+        match=r"frames 100 ms apart cannot fill the 1000000000 s .* different clocks",
+    ):
+        compare(trajectory([0, 10**8, 2 * 10**8]), far)
+    with pytest.raises(EvaluationError, match="a stamp is wrong"):
+        compare(trajectory([0, 10**8, 2 * 10**8, 10**18]), far)
+    with pytest.raises(EvaluationError, match="no stamp of the estimate"):
+        compare(trajectory([0, 10**8]), trajectory([10**18, 10**18 + 10**8]))
     with pytest.raises(EvaluationError, match="the estimate holds no pose"):
         compare(trajectory([]), a)
     with pytest.raises(EvaluationError, match="the ground truth holds no pose"):
         compare(a, trajectory([]))
+
+
+def test_truth_known_only_where_tracking_was_lost_cannot_be_compared():
+    estimate = trajectory([0, 8_000_000, 40_000_000, 48_000_000])
+    truth = trajectory([15_000_000])
+    with pytest.raises(EvaluationError, match="no stamp of the estimate"):
+        compare(estimate, truth, frame_stamps_ns=np.arange(7) * 8_000_000)
 
 
 def test_inputs_are_left_alone():

@@ -13,6 +13,7 @@ from thermal_stereo_vo.core.trajectory import Trajectory
 Stamps = NDArray[np.int64]
 
 DEFAULT_TOLERANCE_NS = 10_000_000
+MOST_FRAMES = 10_000_000
 
 
 def associate(
@@ -43,7 +44,7 @@ def expected_frames(estimate_stamps_ns: Stamps, truth_stamps_ns: Stamps) -> Stam
 
     For trajectories that come without the list of frames: the period is the median step of the
     estimate; longer steps are filled evenly, and both ends are continued as far as the ground truth
-    goes (half a period of grace).
+    goes (half a period of grace).  Raises EvaluationError when that would be over ten million.
 
     >>> expected_frames(np.array([100, 200, 300, 500]), np.array([0, 600])).tolist()
     [0, 100, 200, 300, 400, 500, 600]
@@ -52,6 +53,14 @@ def expected_frames(estimate_stamps_ns: Stamps, truth_stamps_ns: Stamps) -> Stam
         return estimate_stamps_ns
     steps = np.diff(estimate_stamps_ns)
     period = max(int(np.median(steps)), 1)
+    first = min(int(estimate_stamps_ns[0]), int(truth_stamps_ns[0]))
+    last = max(int(estimate_stamps_ns[-1]), int(truth_stamps_ns[-1]))
+    if (last - first) // period > MOST_FRAMES:
+        raise EvaluationError(
+            f"frames {period / 1e6:g} ms apart cannot fill the {(last - first) / 1e9:.0f} s from "
+            "the first to the last stamp: a stamp is wrong, or estimate and truth have different "
+            "clocks"
+        )
     parts = [estimate_stamps_ns]
     for i in np.flatnonzero(2 * steps > 3 * period):
         count = round(int(steps[i]) / period)
@@ -124,6 +133,8 @@ def compare(
     for name, trajectory in (("the estimate", estimate), ("the ground truth", truth)):
         if len(trajectory) == 0:
             raise EvaluationError(f"{name} holds no pose: there is nothing to compare")
+    if len(associate(estimate.stamps_ns, truth.stamps_ns, tolerance_ns)[0]) == 0:
+        raise _nothing_in_common(estimate, truth, tolerance_ns)
     if frame_stamps_ns is None:
         frame_stamps_ns = expected_frames(estimate.stamps_ns, truth.stamps_ns)
     frames = np.union1d(np.asarray(frame_stamps_ns, np.int64), estimate.stamps_ns)
@@ -132,12 +143,8 @@ def compare(
     in_estimate = np.searchsorted(estimate.stamps_ns, stamps_ns)
     in_estimate = np.minimum(in_estimate, len(estimate) - 1)
     has_pose = estimate.stamps_ns[in_estimate] == stamps_ns
-    if not np.any(has_pose):
-        raise EvaluationError(
-            f"no stamp of the estimate ({_span(estimate)}) lies within {tolerance_ns / 1e6:g} ms "
-            f"of one of the ground truth ({_span(truth)}): take both from the same recording and "
-            "the same clock"
-        )
+    if not np.any(has_pose):  # every true pose is nearer to a lost frame than to an estimate
+        raise _nothing_in_common(estimate, truth, tolerance_ns)
     T_world_est = estimate.T_world_rig[in_estimate].copy()
     T_world_est[~has_pose] = np.nan
     posed = np.flatnonzero(has_pose)
@@ -158,6 +165,16 @@ def _nearest(sorted_stamps: Stamps, stamps: Stamps) -> NDArray[np.intp]:
     right = np.minimum(right, len(sorted_stamps) - 1)
     nearer = np.abs(sorted_stamps[right] - stamps) < np.abs(sorted_stamps[left] - stamps)
     return np.where(nearer, right, left)
+
+
+def _nothing_in_common(
+    estimate: Trajectory, truth: Trajectory, tolerance_ns: int
+) -> EvaluationError:
+    return EvaluationError(
+        f"no stamp of the estimate ({_span(estimate)}) lies within {tolerance_ns / 1e6:g} ms of "
+        f"one of the ground truth ({_span(truth)}): take both from the same recording and the "
+        "same clock"
+    )
 
 
 def _span(trajectory: Trajectory) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.evaluation.alignment import aligned, up_axis
-from thermal_stereo_vo.evaluation.association import Comparison, compare
+from thermal_stereo_vo.evaluation.association import DEFAULT_TOLERANCE_NS, Comparison, compare
 from thermal_stereo_vo.evaluation.metrics import Metrics, evaluate, position_errors
 from thermal_stereo_vo.outputs.replacing import replacing
 
@@ -47,10 +47,17 @@ def plot_run(
     *,
     left_image: NDArray[np.uint8] | None = None,
     matches_image: NDArray[np.uint8] | None = None,
+    tolerance_ns: int = DEFAULT_TOLERANCE_NS,
 ) -> None:
     """Write the picture of a run (see ``run_figure``) as PNG."""
     figure = run_figure(
-        estimate, truth, metrics, title, left_image=left_image, matches_image=matches_image
+        estimate,
+        truth,
+        metrics,
+        title,
+        left_image=left_image,
+        matches_image=matches_image,
+        tolerance_ns=tolerance_ns,
     )
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI, format="png")
@@ -64,6 +71,7 @@ def run_figure(
     *,
     left_image: NDArray[np.uint8] | None = None,
     matches_image: NDArray[np.uint8] | None = None,
+    tolerance_ns: int = DEFAULT_TOLERANCE_NS,
 ) -> Figure:
     """The picture of a run, with errors where the truth is known.
 
@@ -92,8 +100,9 @@ def run_figure(
         summary = f"{len(estimate)} poses, {way_m:.1f} m"
     else:
         if metrics is None:
-            metrics = evaluate(estimate, truth)
-        _draw_comparison(body, aligned(compare(estimate, truth), metrics.alignment), metrics)
+            metrics = evaluate(estimate, truth, tolerance_ns=tolerance_ns)
+        comparison = compare(estimate, truth, tolerance_ns=tolerance_ns)
+        _draw_comparison(body, aligned(comparison, metrics.alignment), metrics)
         summary = _summary(metrics)
     figure.suptitle(f"{title}\n{summary}" if title else summary, fontsize=12)
     return figure

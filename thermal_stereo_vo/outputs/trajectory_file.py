@@ -15,6 +15,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,34 @@ FRAME_COLUMNS = (
     "rms_px",
     "reason",
 )
+
+
+class TrajectoryFormat(Enum):
+    """What a text file of poses may be."""
+
+    TUM = "tum"
+    KITTI = "kitti"
+    EUROC = "euroc"
+
+
+def sniff_format(path: Path) -> TrajectoryFormat:
+    """Tell the format of a text file by its first line of numbers.
+
+    Twelve numbers are KITTI; more than eight, or eight that begin with nanoseconds, EuRoC; eight
+    TUM.  Raises EvaluationError for anything else.
+    """
+    for number, fields in _rows(path):
+        if len(fields) == 12:
+            return TrajectoryFormat.KITTI
+        if len(fields) > 8 or (len(fields) == 8 and len(fields[0]) > 15 and "." not in fields[0]):
+            return TrajectoryFormat.EUROC
+        if len(fields) == 8:
+            return TrajectoryFormat.TUM
+        raise EvaluationError(
+            f"{path}, line {number}, is no pose: a TUM file has 8 numbers a line, a KITTI file 12, "
+            f"a EuRoC file 8 or more that begin with nanoseconds; this line has {len(fields)}"
+        )
+    raise EvaluationError(f"{path} holds no pose")
 
 
 def format_stamp(stamp_ns: int) -> str:
