@@ -135,8 +135,8 @@ def warm_up() -> None:
             nothing,
         )
         for dtype in (np.uint8, np.uint16):
-            ramp = np.arange(64 * 64).reshape(64, 64).astype(dtype)
-            raws = [RawFrame(ramp * dtype(k), k, "") for k in range(1, 4)]
+            ramp = np.arange(64 * 64).reshape(64, 64)
+            raws = [RawFrame((k * ramp).astype(dtype), k, "") for k in range(1, 4)]
             gate, flat_field = FrameGate(), FlatField(calibration)
             scene_based = SceneBasedCorrection(SceneBasedConfig(min_change=0.0))
             for raw in raws:

@@ -153,13 +153,14 @@ def plateau_curve(
         out[count] = level + 0.5 * rise
         level += rise
     offset = min(max(midpoint - 0.5 * level, 0.0), WHITE - level)
+    # Beyond the tails the curve goes on at full gain, so that a narrow curve clips nothing.
     for count in range(COUNTS):
+        value = out[count] + offset
         if count < low:
-            out[count] = 0.0
+            value -= max_gain * (low - count)
         elif count > high:
-            out[count] = WHITE
-        else:
-            out[count] = min(max(out[count] + offset, 0.0), WHITE)
+            value += max_gain * (count - high)
+        out[count] = min(max(value, 0.0), WHITE)
 
 
 def plateau_reference(
@@ -177,10 +178,9 @@ def plateau_reference(
     rise[occupied] = np.minimum(WHITE * capped[occupied] / capped.sum(), max_gain * distance)
     curve = np.cumsum(rise) - 0.5 * rise
     offset = min(max(midpoint - 0.5 * rise.sum(), 0.0), WHITE - rise.sum())
-    curve = np.clip(curve + offset, 0.0, WHITE)
-    curve[:low] = 0.0
-    curve[high + 1 :] = WHITE
-    levels: Curve = curve.astype(np.float32)
+    counts = np.arange(COUNTS)
+    beyond = np.minimum(counts - low, 0) + np.maximum(counts - high, 0)
+    levels: Curve = np.clip(curve + offset + max_gain * beyond, 0.0, WHITE).astype(np.float32)
     return levels
 
 

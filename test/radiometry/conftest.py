@@ -1,0 +1,67 @@
+"""A scene that a microbolometer looks at while it moves, and a camera that looks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.frames import RawFrame
+
+PERIOD_NS = 33_333_333
+
+
+@dataclass
+class MovingScene:
+    """A textured wall of warm and cold spots seen through a sliding window; counts around 8000."""
+
+    wall: NDArray[np.float64]
+    shape: tuple[int, int]
+    rng: np.random.Generator
+    noise_counts: float = 1.5
+
+    def clean(self, x_px: float, y_px: float = 0.0) -> NDArray[np.float64]:
+        height, width = self.shape
+        x, y = round(x_px) % (self.wall.shape[1] - width), round(y_px) % 40
+        return self.wall[y : y + height, x : x + width].copy()
+
+    def noisy(self, counts: NDArray[np.float64]) -> NDArray[np.uint16]:
+        noise = self.noise_counts * self.rng.standard_normal(self.shape)
+        return np.clip(np.round(counts + noise), 0, 65535).astype(np.uint16)
+
+    def view(self, x_px: float, y_px: float = 0.0) -> NDArray[np.uint16]:
+        return self.noisy(self.clean(x_px, y_px))
+
+
+@pytest.fixture
+def scene(rng: np.random.Generator) -> MovingScene:
+    return make_scene(rng, (240, 320))
+
+
+@pytest.fixture
+def small_scene(rng: np.random.Generator) -> MovingScene:
+    return make_scene(rng, (96, 128))
+
+
+def make_scene(rng: np.random.Generator, shape: tuple[int, int]) -> MovingScene:
+    size = (shape[0] + 40, shape[1] + 1200)
+    wall = np.full(size, 8000.0)
+    for sigma, contrast in ((24.0, 60.0), (6.0, 30.0), (1.5, 12.0)):
+        octave = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), sigma)
+        wall += contrast * octave / octave.std()
+    return MovingScene(wall, shape, rng)
+
+
+@pytest.fixture
+def as_raw() -> Callable[..., RawFrame]:
+    """``as_raw(image, k)``: the k-th frame of a 30 Hz camera."""
+
+    def make(image: NDArray[np.generic], k: int, **more: object) -> RawFrame:
+        more.setdefault("camera", "left")
+        return RawFrame(np.array(image), 1_000_000_000 + k * PERIOD_NS, sequence=k, **more)
+
+    return make
