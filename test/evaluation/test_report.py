@@ -6,7 +6,12 @@ import numpy as np
 
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.evaluation.metrics import evaluate
-from thermal_stereo_vo.evaluation.report import format_table, metrics_report, timing_report
+from thermal_stereo_vo.evaluation.report import (
+    format_table,
+    metrics_report,
+    timing_report,
+    trajectory_report,
+)
 from thermal_stereo_vo.evaluation.timing import FrameTimer
 
 
@@ -47,6 +52,25 @@ def test_missing_figures_are_dashes():
     assert "the rig stood still" in text
     assert "nan" not in text
     assert "None" not in text
+
+
+def test_a_run_without_truth_tells_how_far_it_went():
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, 0, 3] = [0.0, 3.0, 5.0, 1.0]
+    text = trajectory_report(Trajectory(np.arange(4), poses), frames=5)
+    assert line_of(text, "coverage").split()[1:] == ["80.0", "%", "of", "5", "frames"]
+    assert line_of(text, "path length").split()[2] == "9.000"
+    assert line_of(text, "end from start").split()[3] == "1.0000"
+    assert line_of(text, "farthest from start").split()[3] == "5.0000"
+    nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 4, 4)))
+    assert trajectory_report(nothing, frames=0).split() == [
+        "coverage",
+        "-",
+        "%",
+        "of",
+        "0",
+        "frames",
+    ]
 
 
 def test_timing_lists_the_stages():

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     add_config_arguments(parser)
     parser.add_argument(
-        "--ground-truth", type=Path, metavar="F", help="true trajectory, when the source has none"
+        "--ground-truth", metavar="F", help="true trajectory, when the source has none"
     )
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR", help="folder for the results"
@@ -34,8 +34,9 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.core.cameras import default_T_base_rig
     from thermal_stereo_vo.core.trajectory import Trajectory
     from thermal_stereo_vo.datasets.registry import open_dataset, require_calibration
+    from thermal_stereo_vo.datasets.trajectories import find_ground_truth
     from thermal_stereo_vo.evaluation.metrics import evaluate
-    from thermal_stereo_vo.evaluation.report import metrics_report, timing_report
+    from thermal_stereo_vo.evaluation.report import metrics_report, timing_report, trajectory_report
     from thermal_stereo_vo.outputs.bag_writer import ResultBag
     from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
     from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
@@ -48,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     rectifier = Rectifier(calibration, config.rectification)
     T_base_rig = rectifier.rectified_calibration.T_base_rig
     given = None
+    if args.ground_truth is not None:
+        given = find_ground_truth(args.ground_truth, topic=args.ground_truth_topic)
     say = _silent if args.quiet else print
     say(f"{args.source}: {reason}")
 
@@ -59,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
         with progress(dataset.instants(), "pair", quiet=args.quiet) as step:
             replayed = replay(dataset, calibration, config, [files, bag], on_progress=step)
         folder.write_json("timing.json", replayed.timing.as_dict())
-        truth = given if given is not None else dataset.ground_truth()
+        truth = dataset.ground_truth()
+        if given is not None:
+            truth = given.for_frames(files.frame_stamps_ns).trajectory
         if truth is not None:
             # The result is the rectified left camera; so must be what it is compared with.
             truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ rectifier.T_rig_rectified)
@@ -68,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
             say(metrics_report(metrics))
         else:
             metrics = None
-            say("no ground truth: nothing to compare with")
+            say("no ground truth to compare with")
+            say(trajectory_report(files.trajectory, len(files.frame_stamps_ns)))
         if not args.no_plot:
             from thermal_stereo_vo.outputs.plots import plot_run
 
@@ -88,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
                 source=args.source,
                 source_reason=reason,
                 command_line=sys.argv,
+                T_rig_rectified=rectifier.T_rig_rectified,
                 statuses={status.value: count for status, count in files.status_counts.items()},
             ),
         )

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.evaluation.alignment import Alignment
 from thermal_stereo_vo.evaluation.metrics import Metrics
 from thermal_stereo_vo.evaluation.timing import Timing
+
+Figure = tuple[str, float | None, int, str, str]
+"""Name, value, decimals, unit, note."""
 
 ALIGNMENT_TEXT = {
     Alignment.ORIGIN: "first poses made equal",
@@ -48,7 +54,7 @@ def metrics_report(metrics: Metrics) -> str:
     se3, origin, sim3 = (
         ALIGNMENT_TEXT[fitted] for fitted in (Alignment.SE3, Alignment.ORIGIN, Alignment.SIM3)
     )
-    lines = [
+    lines: list[Figure] = [
         ("coverage", metrics.coverage_percent, 1, "%", f"of {metrics.frames} frames"),
         ("compared with the truth", metrics.frames_compared, 0, "", "frames"),
         ("path length", metrics.path_length_m, 2, "m", ""),
@@ -65,14 +71,7 @@ def metrics_report(metrics: Metrics) -> str:
         ("RPE rmse, translation", metrics.rpe_translation_rmse_m, 5, "m", "frame to frame"),
         ("RPE rmse, rotation", metrics.rpe_rotation_rmse_deg, 5, "deg", "frame to frame"),
     ]
-    cells = [
-        (name, _number(value, decimals), unit, note) for name, value, decimals, unit, note in lines
-    ]
-    names, numbers, units = (max(len(line[i]) for line in cells) for i in range(3))
-    text = "\n".join(
-        f"{name.ljust(names)}  {number.rjust(numbers)} {unit.ljust(units)}  {note}".rstrip()
-        for name, number, unit, note in cells
-    )
+    text = _format_figures(lines)
     if not metrics.per_length:
         return f"{text}\n(no figures per distance: the rig stood still or hardly moved)"
     rows = [
@@ -88,6 +87,27 @@ def metrics_report(metrics: Metrics) -> str:
     return f"{text}\n\n{table}"
 
 
+def trajectory_report(trajectory: Trajectory, frames: int) -> str:
+    """What can be said of the poses of ``frames`` frames without knowing the truth."""
+    lines: list[Figure] = [
+        (
+            "coverage",
+            100.0 * len(trajectory) / frames if frames else None,
+            1,
+            "%",
+            f"of {frames} frames",
+        )
+    ]
+    if len(trajectory):
+        away_m = np.linalg.norm(trajectory.positions_m - trajectory.positions_m[0], axis=1)
+        lines += [
+            ("path length", float(trajectory.path_lengths_m[-1]), 3, "m", "of the estimate"),
+            ("end from start", float(away_m[-1]), 4, "m", ""),
+            ("farthest from start", float(np.max(away_m)), 4, "m", ""),
+        ]
+    return _format_figures(lines)
+
+
 def timing_report(timing: Timing) -> str:
     """Time a frame and of each stage, in milliseconds."""
     rows = [
@@ -98,6 +118,18 @@ def timing_report(timing: Timing) -> str:
         *([f"stage {name}: median", f"{ms:.2f}"] for name, ms in timing.stages_ms.items()),
     ]
     return format_table([f"time of {timing.frames} frames", "ms"], rows)
+
+
+def _format_figures(figures: Sequence[Figure]) -> str:
+    cells = [
+        (name, _number(value, decimals), unit, note)
+        for name, value, decimals, unit, note in figures
+    ]
+    names, numbers, units = (max(len(line[i]) for line in cells) for i in range(3))
+    return "\n".join(
+        f"{name.ljust(names)}  {number.rjust(numbers)} {unit.ljust(units)}  {note}".rstrip()
+        for name, number, unit, note in cells
+    )
 
 
 def _number(value: float | None, decimals: int) -> str:
