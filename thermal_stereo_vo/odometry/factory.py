@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
+from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import (
-    FrameToFrameConfig,
     FrameToFrameOdometry,
 )
 from thermal_stereo_vo.odometry.interface import Odometry
@@ -28,7 +28,7 @@ class OdometryConfig:
     solver: str = setting(DOUBLE_DOGLEG, "Minimiser of the frame-to-frame motion.", choices=SOLVERS)
     seed: int = setting(0, "Seed of every random choice.", minimum=0, maximum=2**31 - 1)
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
-    feature: FrameToFrameConfig = group(FrameToFrameConfig, "The frame-to-frame method.")
+    feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
 
 
 def create_odometry(config: OdometryConfig) -> Odometry:

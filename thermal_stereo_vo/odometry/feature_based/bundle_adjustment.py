@@ -1,0 +1,243 @@
+"""Joint refinement of a few keyframes and their points (local bundle adjustment).
+
+Unknowns: poses of all keyframes but the oldest, inverse depths of all points.  Each point has one
+unknown, so eliminating it (Schur complement; Triggs et al., Bundle Adjustment, 2000) is a division.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.kernels import retract, solve_positive
+from thermal_stereo_vo.odometry.feature_based.frame_pose import robust_sigma
+from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
+    COMPONENTS,
+    cauchy_cost,
+    cauchy_weight,
+    point_in_camera,
+    relative_transform,
+    residual_row,
+    uses_component,
+)
+
+RHO_MIN = 1e-5
+
+
+@dataclass(frozen=True)
+class BundleProblem:
+    """``T_k_w`` (K, 4, 4) keyframes, oldest first, the oldest held fixed; points with ``hosts``
+    (N,) index of keyframe, ``bearings`` (N, 3), ``rhos`` (N,) 1/m; ``observed`` (K, N, 4) px with
+    NaN where unseen; ``weights`` (K, N).
+    """
+
+    T_k_w: NDArray[np.float64]
+    hosts: NDArray[np.int64]
+    bearings: NDArray[np.float64]
+    rhos: NDArray[np.float64]
+    observed: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    camera: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BundleSolution:
+    """``T_k_w`` (K, 4, 4); ``rhos`` (N,) with ``rho_information`` (N,) px^2 m^2 given the poses;
+    ``covariance`` (6 (K-1), 6 (K-1)) of the left perturbations of all keyframes but the oldest;
+    ``residuals`` (K, N, 4) px.
+    """
+
+    T_k_w: NDArray[np.float64]
+    rhos: NDArray[np.float64]
+    rho_information: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    sigma_px: float
+    iterations: int
+
+
+def adjust_bundle(
+    problem: BundleProblem, *, sigma_floor_px: float, iterations: int
+) -> BundleSolution | None:
+    """Minimise the robust reprojection error; None when the equations have no solution."""
+    T, rhos = problem.T_k_w.copy(), problem.rhos.copy()
+    residuals = np.full(problem.observed.shape, np.nan)
+    free = 6 * (len(T) - 1)
+    A, g = np.zeros((free, free)), np.zeros(free)
+    W, h_rho, b_rho = np.zeros((len(rhos), free)), np.zeros(len(rhos)), np.zeros(len(rhos))
+    fixed = (
+        problem.hosts, problem.bearings, problem.observed, problem.weights, problem.camera,
+    )  # fmt: skip
+    done = 0
+    sigma_px = sigma_floor_px
+    for half in (iterations // 2, iterations - iterations // 2):
+        window_residuals(T, rhos, *fixed, residuals)
+        sigma_px = max(robust_sigma(residuals), sigma_floor_px)
+        used = iterate_bundle(T, rhos, *fixed, 2.385 * sigma_px, half, A, g, W, h_rho, b_rho)
+        if used < 0:
+            return None
+        done += used
+    window_residuals(T, rhos, *fixed, residuals)
+    try:
+        covariance = sigma_px**2 * np.linalg.inv(A)
+    except np.linalg.LinAlgError:
+        return None
+    if not np.all(np.isfinite(covariance)):
+        return None
+    return BundleSolution(T, rhos, h_rho, covariance, residuals, sigma_px, done)
+
+
+@njit(cache=True, nogil=True)
+def window_residuals(T, rhos, hosts, bearings, observed, weights, camera, out):  # type: ignore[no-untyped-def]
+    """Write (K, N, 4) residuals in px; NaN where unseen or without weight."""
+    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    for n in range(len(hosts)):
+        for c in range(len(T)):
+            relative_transform(T[c], T[hosts[n]], R, t)
+            point_in_camera(R, t, bearings[n], rhos[n], p)
+            for k in range(COMPONENTS):
+                out[c, n, k] = np.nan
+                if weights[c, n] > 0.0 and counts(k, c, hosts[n], observed[c, n]):
+                    out[c, n, k] = residual_row(k, p, rhos[n], observed[c, n, k], camera, row)
+
+
+@njit(cache=True, nogil=True)
+def counts(component, camera_index, host, observation):  # type: ignore[no-untyped-def]
+    """Whether a component enters: in its host a point is the patch, only its disparity is open."""
+    if camera_index == host and component != 2:
+        return False
+    return uses_component(component, observation)
+
+
+@njit(cache=True, nogil=True)
+def linearise_bundle(  # type: ignore[no-untyped-def]
+    T, rhos, hosts, bearings, observed, weights, camera, width, A, g, W, h_rho, b_rho
+):
+    """Reduced normal equations ``A`` (6F, 6F), ``g`` (6F,) of the F = K - 1 free keyframes.
+
+    Keeps ``W`` (N, 6F), ``h_rho`` and ``b_rho`` (N,) for the back substitution.  Returns the cost.
+    For T = T_c T_h^-1 and left perturbations: dp = [rho I, -skew(p)] of the camera,
+    dp = -R [rho I, -skew(b)] of the host, dp = t of the inverse depth.
+    """
+    baseline = camera[5]
+    keyframes = len(T)
+    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    rotated, Jc, Jh = np.empty(3), np.empty(6), np.empty(6)
+    A[:] = 0.0
+    g[:] = 0.0
+    W[:] = 0.0
+    cost = 0.0
+    for n in range(len(hosts)):
+        h = hosts[n]
+        rho = rhos[n]
+        b = bearings[n]
+        w = W[n]
+        h_rho[n] = b_rho[n] = 0.0
+        for c in range(keyframes):
+            if weights[c, n] <= 0.0:
+                continue
+            relative_transform(T[c], T[h], R, t)
+            point_in_camera(R, t, b, rho, p)
+            for k in range(COMPONENTS):
+                if not counts(k, c, h, observed[c, n]):
+                    continue
+                r = residual_row(k, p, rho, observed[c, n, k], camera, row)
+                if np.isnan(r):
+                    continue
+                weight = weights[c, n] * cauchy_weight(r, width)
+                cost += weights[c, n] * cauchy_cost(r, width)
+                j_rho = row[0] * t[0] + row[1] * t[1] + row[2] * t[2]
+                if k == 2:
+                    j_rho -= row[0] * baseline
+                h_rho[n] += weight * j_rho * j_rho
+                b_rho[n] += weight * j_rho * r
+                if c == h:
+                    continue
+                Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
+                Jc[3] = p[1] * row[2] - p[2] * row[1]
+                Jc[4] = p[2] * row[0] - p[0] * row[2]
+                Jc[5] = p[0] * row[1] - p[1] * row[0]
+                for i in range(3):
+                    rotated[i] = row[0] * R[0, i] + row[1] * R[1, i] + row[2] * R[2, i]
+                Jh[0], Jh[1], Jh[2] = -rho * rotated[0], -rho * rotated[1], -rho * rotated[2]
+                Jh[3] = -(b[1] * rotated[2] - b[2] * rotated[1])
+                Jh[4] = -(b[2] * rotated[0] - b[0] * rotated[2])
+                Jh[5] = -(b[0] * rotated[1] - b[1] * rotated[0])
+                ci, hi = 6 * (c - 1), 6 * (h - 1)
+                for i in range(6):
+                    if c > 0:
+                        wj = weight * Jc[i]
+                        g[ci + i] += wj * r
+                        w[ci + i] += wj * j_rho
+                        for m in range(6):
+                            A[ci + i, ci + m] += wj * Jc[m]
+                            if h > 0:
+                                A[ci + i, hi + m] += wj * Jh[m]
+                    if h > 0:
+                        wj = weight * Jh[i]
+                        g[hi + i] += wj * r
+                        w[hi + i] += wj * j_rho
+                        for m in range(6):
+                            A[hi + i, hi + m] += wj * Jh[m]
+                            if c > 0:
+                                A[hi + i, ci + m] += wj * Jc[m]
+        if h_rho[n] > 0.0:
+            for i in range(len(g)):
+                if w[i] == 0.0:
+                    continue
+                factor = w[i] / h_rho[n]
+                g[i] -= factor * b_rho[n]
+                for m in range(len(g)):
+                    A[i, m] -= factor * w[m]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def iterate_bundle(  # type: ignore[no-untyped-def]
+    T, rhos, hosts, bearings, observed, weights, camera, width, iterations, A, g, W, h_rho, b_rho
+):
+    """Levenberg-Marquardt in place; returns the iterations used, -1 when there is no solution."""
+    free = len(g)
+    T_new, rhos_new = T.copy(), rhos.copy()
+    A_new, g_new, W_new = np.zeros_like(A), np.zeros_like(g), np.zeros_like(W)
+    h_new, b_new = np.zeros_like(h_rho), np.zeros_like(b_rho)
+    damped, step = np.zeros_like(A), np.zeros(free)
+    damping = 1e-6
+    cost = linearise_bundle(
+        T, rhos, hosts, bearings, observed, weights, camera, width, A, g, W, h_rho, b_rho
+    )
+    for iteration in range(iterations):
+        damped[:] = A
+        for i in range(free):
+            damped[i, i] += damping * A[i, i] + 1e-9
+        if not solve_positive(damped, g, step):
+            return -1
+        for c in range(1, len(T)):
+            retract(T[c], step[6 * (c - 1) : 6 * c], T_new[c])
+        for n in range(len(rhos)):
+            if h_rho[n] > 0.0:
+                delta = (b_rho[n] - np.dot(W[n], step)) / h_rho[n]
+                rhos_new[n] = max(rhos[n] + delta, RHO_MIN)
+        new_cost = linearise_bundle(
+            T_new, rhos_new, hosts, bearings, observed, weights, camera, width,
+            A_new, g_new, W_new, h_new, b_new,
+        )  # fmt: skip
+        if new_cost <= cost:
+            small = cost - new_cost <= 1e-6 * cost
+            cost = new_cost
+            T[:] = T_new
+            rhos[:] = rhos_new
+            A[:] = A_new
+            g[:] = g_new
+            W[:] = W_new
+            h_rho[:] = h_new
+            b_rho[:] = b_new
+            damping = max(0.1 * damping, 1e-9)
+            if small:
+                return iteration + 1
+        else:
+            damping = max(10.0 * damping, 1e-4)
+    return iterations

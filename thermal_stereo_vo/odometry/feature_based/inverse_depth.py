@@ -1,0 +1,134 @@
+"""Residuals of points with an inverse depth in their host keyframe, and their Jacobians.
+
+A point is the centre of a patch of its host: bearing b = (x, y, 1) there and inverse depth rho.
+With T = T_camera_host = (R, t) it appears in another rectified pair at the projection of
+p = R b + rho t (the true point times rho), so that rho = 0, a point at infinity, is no special
+case.  The right eye sees p - rho (baseline, 0, 0).  Fixed triangulated points bias the motion (the
+noise of a disparity does not average out of 1 / disparity); free inverse depths do not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
+
+COMPONENTS = 4
+"""An observation is uL, vL, uR, vR; NaN where an eye did not see the point.
+
+Only a blind left eye makes vR count, so that an error of the rectification between the eyes does
+not enter twice.
+"""
+
+
+@njit(cache=True, nogil=True)
+def relative_transform(T_c_w, T_h_w, R, t):  # type: ignore[no-untyped-def]
+    """Write rotation (3, 3) and translation (3,) of ``T_c_w @ inverse(T_h_w)``."""
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                total += T_c_w[i, k] * T_h_w[j, k]
+            R[i, j] = total
+    for i in range(3):
+        total = T_c_w[i, 3]
+        for k in range(3):
+            total -= R[i, k] * T_h_w[k, 3]
+        t[i] = total
+
+
+@njit(cache=True, nogil=True)
+def point_in_camera(R, t, bearing, rho, p):  # type: ignore[no-untyped-def]
+    """Write p = R b + rho t (3,)."""
+    for i in range(3):
+        p[i] = R[i, 0] * bearing[0] + R[i, 1] * bearing[1] + R[i, 2] * bearing[2] + rho * t[i]
+
+
+@njit(cache=True, nogil=True)
+def residual_row(component, p, rho, observed, camera, row):  # type: ignore[no-untyped-def]
+    """Residual (px) of one component of an observation; NaN when it cannot be had.
+
+    Writes to ``row`` (3,) the derivative of the predicted pixel with respect to the point in that
+    eye's axes.
+    """
+    fx, fy, cx, cy, cx_right, baseline = camera
+    if p[2] <= 1e-6:
+        return np.nan
+    iz = 1.0 / p[2]
+    if component == 0 or component == 2:
+        x = p[0] if component == 0 else p[0] - rho * baseline
+        centre = cx if component == 0 else cx_right
+        row[0] = fx * iz
+        row[1] = 0.0
+        row[2] = -fx * x * iz * iz
+        return observed - (fx * x * iz + centre)
+    row[0] = 0.0
+    row[1] = fy * iz
+    row[2] = -fy * p[1] * iz * iz
+    return observed - (fy * p[1] * iz + cy)
+
+
+@njit(cache=True, nogil=True)
+def uses_component(component, observation):  # type: ignore[no-untyped-def]
+    """Whether this component of a (4,) observation enters the cost."""
+    if np.isnan(observation[component]):
+        return False
+    return component != 3 or np.isnan(observation[0])
+
+
+@njit(cache=True, nogil=True)
+def cauchy_weight(residual, scale):  # type: ignore[no-untyped-def]
+    """Weight of a residual under the Cauchy kernel of width ``scale``."""
+    return 1.0 / (1.0 + (residual / scale) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def cauchy_cost(residual, scale):  # type: ignore[no-untyped-def]
+    """Half squared residual, flattened by the Cauchy kernel."""
+    return 0.5 * scale * scale * np.log1p((residual / scale) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def predict_pixels(T_c_w, T_h_w, hosts, bearings, rhos, camera, step_px, pixels, warps):  # type: ignore[no-untyped-def]
+    """Where N points should appear, and how their patches are warped on the way.
+
+    ``T_h_w`` (slots, 4, 4), ``hosts`` (N,) int64, ``bearings`` (N, 3), ``rhos`` (N,).  Writes
+    ``pixels`` (N, 4) uL vL uR vR, NaN behind the camera, and ``warps`` (N, 2, 2), the derivative of
+    the left pixel with respect to the host's pixel for a patch that faces the host.
+    """
+    fx, fy, cx, cy, cx_right, baseline = camera
+    R, t, p, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    moved = np.empty(3)
+    last = -1
+    for n in range(len(hosts)):
+        if hosts[n] != last:
+            last = hosts[n]
+            relative_transform(T_c_w, T_h_w[last], R, t)
+        rho = rhos[n]
+        point_in_camera(R, t, bearings[n], rho, p)
+        if p[2] <= 1e-3:
+            pixels[n] = np.nan
+            continue
+        pixels[n, 0] = fx * p[0] / p[2] + cx
+        pixels[n, 1] = pixels[n, 3] = fy * p[1] / p[2] + cy
+        pixels[n, 2] = fx * (p[0] - rho * baseline) / p[2] + cx_right
+        for axis in range(2):
+            moved[:] = bearings[n]
+            moved[axis] += step_px / (fx if axis == 0 else fy)
+            point_in_camera(R, t, moved, rho, q)
+            depth = max(q[2], 1e-3)
+            warps[n, 0, axis] = (fx * q[0] / depth + cx - pixels[n, 0]) / step_px
+            warps[n, 1, axis] = (fy * q[1] / depth + cy - pixels[n, 1]) / step_px
+
+
+def predict_pixels_reference(
+    T_c_h: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    rhos: NDArray[np.float64],
+    camera: StereoCamera,
+) -> NDArray[np.float64]:
+    """(N, 4) uL vL uR vR of points of one host, the plain numpy form."""
+    points = bearings / rhos[:, None] @ T_c_h[:3, :3].T + T_c_h[:3, 3]
+    return camera.project(points)

@@ -1,0 +1,121 @@
+"""Pose, twist and status over time: what every method keeps, and how it becomes a result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.errors import OutOfOrderError
+from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus, TrackStats
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.odometry.motion_prior import (
+    ConstantVelocity,
+    coasting_covariance,
+    coasting_twist_covariance,
+)
+from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
+from thermal_stereo_vo.odometry.status_machine import StatusConfig, StatusMachine
+
+
+class OdometryState:
+    """Where the rig is thought to be.
+
+    ``pose`` is the estimate at the last frame, measured or predicted; while LOST it stays where the
+    rig was lost, so that the pose goes on from there after a recovery.
+    """
+
+    def __init__(self, config: StatusConfig, T_world_rig: NDArray[np.float64]) -> None:
+        self.pose = PoseEstimate.start(T_world_rig)
+        self.prior = ConstantVelocity()
+        self._status = StatusMachine(config)
+        self._twist_covariance = np.zeros((6, 6))
+        self._stamp_ns: int | None = None
+        self._step_s = 0.0
+
+    @property
+    def status(self) -> TrackingStatus:
+        """The status of the last result."""
+        return self._status.status
+
+    def advance(self, stamp_ns: int) -> float:
+        """Take the stamp of a new frame; returns the seconds since the last one (0 at first).
+
+        Raises OutOfOrderError when it does not come later.
+        """
+        if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
+            raise OutOfOrderError(
+                f"frame at {stamp_ns} ns does not come after {self._stamp_ns} ns: reset the "
+                "odometry after a jump of the clock"
+            )
+        self._step_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
+        self._stamp_ns = stamp_ns
+        return self._step_s
+
+    def predicted(self) -> NDArray[np.float64]:
+        """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
+        if self.status is TrackingStatus.LOST:
+            return self.pose.T_world_rig
+        return self.pose.T_world_rig @ self.prior.predict(self._step_s)
+
+    def started(self, stats: TrackStats, reason: str = "first frame") -> OdometryResult:
+        """The first usable frame: its pose is the start."""
+        return self._result(self._status.started(self._now), stats, reason)
+
+    def measured(
+        self,
+        pose: PoseEstimate,
+        T_after_before: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        elapsed_s: float,
+        stats: TrackStats,
+    ) -> OdometryResult:
+        """A pose was measured.
+
+        ``T_after_before`` (4, 4) with the (6, 6) ``covariance`` of its left perturbation is the
+        motion over the last ``elapsed_s``, from which the twist follows.
+        """
+        self.pose = pose
+        self.prior.update(inverse(T_after_before), elapsed_s)
+        self._twist_covariance = covariance / elapsed_s**2
+        return self._result(self._status.measured(self._now, stats.inliers), stats, "")
+
+    def unmeasured(self, stats: TrackStats, reason: str) -> OdometryResult:
+        """Nothing was measured: coast on the last twist, up to where that is worth nothing."""
+        unseen_s = self._status.unseen_s(self._now) - self._step_s
+        status = self._status.unmeasured(self._now)
+        if status is TrackingStatus.GAP:
+            self.pose = self.pose.moved(
+                inverse(self.prior.predict(self._step_s)),
+                coasting_covariance(unseen_s, self._step_s),
+            )
+        return self._result(status, stats, reason)
+
+    @property
+    def _now(self) -> int:
+        assert self._stamp_ns is not None
+        return self._stamp_ns
+
+    def _result(self, status: TrackingStatus, stats: TrackStats, reason: str) -> OdometryResult:
+        common = {"stats": stats, "reason": reason, "reset_counter": self._status.reset_counter}
+        if status is TrackingStatus.LOST:
+            return OdometryResult(self._now, status, None, None, **common)  # type: ignore[arg-type]
+        twist_covariance = self._twist_covariance
+        if status is TrackingStatus.GAP:
+            unseen_s = self._status.unseen_s(self._now)
+            twist_covariance = twist_covariance + coasting_twist_covariance(unseen_s)
+        return OdometryResult(
+            self._now,
+            status,
+            self.pose.T_world_rig,
+            self.pose.covariance,
+            twist=np.zeros(6) if self.prior.twist is None else self.prior.twist,
+            twist_covariance=twist_covariance,
+            **common,  # type: ignore[arg-type]
+        )
+
+
+def with_stages(result: OdometryResult, stage_ms: dict[str, float]) -> OdometryResult:
+    """The result with the times of its stages."""
+    return replace(result, stats=replace(result.stats, stage_ms=stage_ms))
