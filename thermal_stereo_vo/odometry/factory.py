@@ -1,4 +1,4 @@
-"""Which method runs: an explicit table."""
+"""Which method runs: an explicit choice."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
-from thermal_stereo_vo.odometry.feature_based.frame_to_frame import (
-    FrameToFrameOdometry,
-)
+from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
+from thermal_stereo_vo.odometry.feature_based.windowed import WindowedConfig, WindowedOdometry
 from thermal_stereo_vo.odometry.interface import Odometry
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
@@ -23,16 +22,26 @@ class OdometryConfig:
 
     method: str = setting("feature", "Odometry method.", choices=METHODS)
     window: int = setting(
-        0, "Keyframes optimised together; 0 goes from frame to frame as P1.", minimum=0, maximum=0
+        7, "Keyframes optimised together; 0 goes from frame to frame as P1.", minimum=0, maximum=20
     )
     solver: str = setting(DOUBLE_DOGLEG, "Minimiser of the frame-to-frame motion.", choices=SOLVERS)
     seed: int = setting(0, "Seed of every random choice.", minimum=0, maximum=2**31 - 1)
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
+    windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
 
 
 def create_odometry(config: OdometryConfig) -> Odometry:
-    """The method that the settings name."""
-    if config.method == "feature":
+    """Build the method that the settings name.
+
+    Raises ConfigError for a window of one keyframe, which could adjust nothing.
+    """
+    if config.window == 0:
         return FrameToFrameOdometry(config.feature, config.status, config.solver, config.seed)
-    raise ConfigError(f"there is no odometry method '{config.method}'")
+    if config.window == 1:
+        raise ConfigError(
+            "odometry.window = 1 leaves nothing to optimise: give 0 (frame to frame) or 2 and more"
+        )
+    return WindowedOdometry(
+        config.windowed, config.feature, config.status, config.solver, config.window, config.seed
+    )

@@ -1,0 +1,270 @@
+"""The keyframes that are kept, their points, and where each keyframe saw each point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.transforms import adjoint, inverse
+from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
+    RHO_MIN,
+    BundleProblem,
+    BundleSolution,
+)
+from thermal_stereo_vo.odometry.feature_based.image_pyramid import KeyframeImages, Pyramid
+from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
+from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
+
+
+@dataclass(frozen=True)
+class WindowPoints:
+    """A selection of points: ``index`` (N,) in the window, sorted by host; see KeyframeWindow."""
+
+    index: NDArray[np.int64]
+    hosts: NDArray[np.int64]
+    host_px: NDArray[np.float64]
+    bearings: NDArray[np.float64]
+    rhos: NDArray[np.float64]
+    rho_information: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def take(self, chosen: NDArray[np.intp]) -> WindowPoints:
+        """Those at the positions ``chosen``."""
+        return WindowPoints(
+            self.index[chosen],
+            self.hosts[chosen],
+            self.host_px[chosen],
+            self.bearings[chosen],
+            self.rhos[chosen],
+            self.rho_information[chosen],
+        )
+
+
+class KeyframeWindow:
+    """Fixed room for ``keyframes`` keyframes and ``capacity`` points; slots are used again.
+
+    A point belongs to the keyframe whose patch it is (its host), by a pixel there and an inverse
+    depth rho (1/m); rho_information is in px^2 m^2, to be divided by the noise variance in px^2.
+    """
+
+    def __init__(
+        self, keyframes: int, capacity: int, shape: tuple[int, int], camera: StereoCamera
+    ) -> None:
+        self._camera = camera
+        self._room = keyframes
+        self.images = KeyframeImages(keyframes, shape)
+        self.T_keyframe_world = np.tile(np.eye(4), (keyframes, 1, 1))
+        self.order: list[int] = []
+        """Slots, oldest keyframe first."""
+        self._hosts = np.full(capacity, -1, np.int64)
+        self._host_px = np.zeros((capacity, 2))
+        self._rhos = np.zeros(capacity)
+        self._rho_information = np.zeros(capacity)
+        self._observed = np.full((keyframes, capacity, 4), np.nan)
+        self._misses = np.zeros(capacity, np.int64)
+        self._intensity = np.zeros(capacity, np.float32)
+        # The oldest keyframe is held fixed: its uncertainty is that of the world behind it.
+        self._oldest_covariance = np.zeros((6, 6))
+        self._relative_covariance: dict[int, NDArray[np.float64]] = {}
+
+    @property
+    def newest(self) -> int:
+        """Slot of the newest keyframe."""
+        return self.order[-1]
+
+    def newest_pose(self) -> PoseEstimate:
+        """World pose of the newest keyframe with its covariance."""
+        return self._pose(self.newest)
+
+    def _pose(self, slot: int) -> PoseEstimate:
+        oldest = self.order[0]
+        T_world_oldest = inverse(self.T_keyframe_world[oldest])
+        start = PoseEstimate(T_world_oldest, self._oldest_covariance)
+        if slot == oldest:
+            return start
+        T_slot_oldest = self.T_keyframe_world[slot] @ T_world_oldest
+        return start.moved(T_slot_oldest, self._relative_covariance[slot])
+
+    def points(self) -> WindowPoints:
+        """All points, sorted by host so that each relative pose is computed once."""
+        index = np.flatnonzero(self._hosts >= 0)
+        index = index[np.argsort(self._hosts[index], kind="stable")]
+        return WindowPoints(
+            index,
+            self._hosts[index],
+            self._host_px[index],
+            self._bearings(self._host_px[index]),
+            self._rhos[index],
+            self._rho_information[index],
+        )
+
+    def positions_m(self, points: WindowPoints) -> NDArray[np.float64]:
+        """(N, 3) world coordinates."""
+        in_host = points.bearings / points.rhos[:, None]
+        T_world_host = np.stack([inverse(T) for T in self.T_keyframe_world])[points.hosts]
+        return np.einsum("nij,nj->ni", T_world_host[:, :3, :3], in_host) + T_world_host[:, :3, 3]
+
+    def intensities(self, points: WindowPoints) -> NDArray[np.float32]:
+        """(N,) counts of the points' pixels."""
+        return self._intensity[points.index]
+
+    def note_tracking(
+        self, points: WindowPoints, good: NDArray[np.bool_], most_misses: int
+    ) -> None:
+        """Drop points that were looked for and missed too many times in a row."""
+        self._misses[points.index[good]] = 0
+        missed = points.index[~good]
+        self._misses[missed] += 1
+        self._drop(missed[self._misses[missed] > most_misses])
+
+    def add_keyframe(
+        self,
+        pose: PoseEstimate,
+        relative_covariance: NDArray[np.float64] | None,
+        pyramid: Pyramid,
+        points: WindowPoints,
+        observed: NDArray[np.float64],
+    ) -> int:
+        """Take a frame in, the oldest keyframe out when there is no room; returns the slot.
+
+        ``relative_covariance`` (6, 6) is that of the frame's left perturbation given the newest
+        keyframe, None for the first keyframe.  ``observed`` (N, 4) is where it saw ``points``.
+        """
+        if len(self.order) == self._room:
+            self._forget_oldest()
+        slot = next(i for i in range(self._room) if i not in self.order)
+        if relative_covariance is None:
+            self._oldest_covariance = pose.covariance
+        elif len(self.order) == 1:
+            self._relative_covariance[slot] = relative_covariance
+        else:
+            # Until bundle adjustment knows better: newest keyframe, then the step from there.
+            T_slot_newest = inverse(pose.T_world_rig) @ inverse(self.T_keyframe_world[self.newest])
+            Ad = adjoint(T_slot_newest)
+            known = self._relative_covariance[self.newest]
+            self._relative_covariance[slot] = Ad @ known @ Ad.T + relative_covariance
+        self.T_keyframe_world[slot] = inverse(pose.T_world_rig)
+        self.images.store(slot, pyramid)
+        self._observed[slot] = np.nan
+        still = self._hosts[points.index] >= 0
+        self._observed[slot, points.index[still]] = observed[still]
+        self.order.append(slot)
+        return slot
+
+    def add_points(
+        self,
+        pixels: NDArray[np.float64],
+        right_x_px: NDArray[np.float64],
+        intensity: NDArray[np.float32],
+        sigma_information: float,
+    ) -> None:
+        """Give the newest keyframe (N, 2) new points with the column (N,) seen by its right eye."""
+        free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
+        pixels, right_x_px = pixels[: len(free)], right_x_px[: len(free)]
+        camera, slot = self._camera, self.newest
+        disparity = (pixels[:, 0] - camera.cx) - (right_x_px - camera.cx_right)
+        gain = camera.fx * camera.baseline_m
+        self._hosts[free] = slot
+        self._host_px[free] = pixels
+        self._rhos[free] = np.maximum(disparity / gain, RHO_MIN)
+        self._rho_information[free] = sigma_information * gain**2
+        self._observed[:, free] = np.nan
+        self._observed[slot, free, 0] = pixels[:, 0]
+        self._observed[slot, free, 1] = pixels[:, 1]
+        self._observed[slot, free, 2] = right_x_px
+        self._misses[free] = 0
+        self._intensity[free] = intensity[: len(free)]
+
+    def bundle_problem(self, radial_trust: float) -> tuple[BundleProblem, NDArray[np.int64]]:
+        """A copy of everything bundle adjustment needs, and the (N,) index of its points."""
+        points = self.points()
+        slots = np.array(self.order)
+        rank = np.zeros(self._room, np.int64)
+        rank[slots] = np.arange(len(slots))
+        observed = self._observed[slots][:, points.index]
+        host_radius = self._radius_squared(points.host_px)
+        radius = self._radius_squared(observed[..., :2])
+        radius = np.where(np.isfinite(radius), radius, 0.0) + host_radius
+        trust = radial_trust**2 if radial_trust > 0.0 else np.inf
+        return (
+            BundleProblem(
+                self.T_keyframe_world[slots].copy(),
+                rank[points.hosts],
+                points.bearings,
+                points.rhos,
+                np.ascontiguousarray(observed),
+                1.0 / (1.0 + radius / trust),
+                self._camera.parameters,
+            ),
+            points.index,
+        )
+
+    def apply(
+        self, solution: BundleSolution, index: NDArray[np.int64], outlier_sigmas: float
+    ) -> None:
+        """Take the refined poses and depths over; forget observations that do not fit."""
+        slots = np.array(self.order)
+        self.T_keyframe_world[slots] = solution.T_k_w
+        self._rhos[index] = solution.rhos
+        self._rho_information[index] = solution.rho_information
+        for i, slot in enumerate(self.order[1:]):
+            block = slice(6 * i, 6 * i + 6)
+            self._relative_covariance[slot] = solution.covariance[block, block]
+        limit_px = outlier_sigmas * solution.sigma_px
+        wrong = np.any(np.abs(solution.residuals) > limit_px, axis=2)
+        for k, slot in enumerate(slots):
+            self._observed[slot, index[wrong[k]]] = np.nan
+        # A point that its own host's right eye contradicts has no depth to speak of.
+        hosts = self._hosts[index]
+        in_host = np.isnan(self._observed[hosts, index, 2])
+        seen = np.sum(np.isfinite(self._observed[slots][:, index, 0]), axis=0)
+        self._drop(index[in_host & (seen < 3)])
+
+    def _forget_oldest(self) -> None:
+        """The second oldest becomes the one held fixed, with the uncertainty it has by now."""
+        oldest, heir = self.order[0], self.order[1]
+        T_oldest_heir = inverse(self.T_keyframe_world[oldest] @ inverse(self.T_keyframe_world[heir]))
+        heir_given_oldest = self._relative_covariance[heir]
+        self._oldest_covariance = self._pose(heir).covariance
+        for slot in self.order[2:]:
+            # Relative to the heir instead of the oldest; correlations are left to the next
+            # adjustment, a difference of covariances would not stay positive.
+            T_slot_oldest = self.T_keyframe_world[slot] @ inverse(self.T_keyframe_world[oldest])
+            Ad = adjoint(T_slot_oldest @ T_oldest_heir)
+            rest = self._relative_covariance[slot] - Ad @ heir_given_oldest @ Ad.T
+            self._relative_covariance[slot] = _positive(rest)
+        self.order.pop(0)
+        self._drop(np.flatnonzero(self._hosts == oldest))
+        self._observed[oldest] = np.nan
+        self._relative_covariance.pop(oldest, None)
+        self._relative_covariance.pop(heir, None)
+
+    def _drop(self, index: NDArray[np.int64]) -> None:
+        self._hosts[index] = -1
+
+    def _bearings(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        camera = self._camera
+        return np.stack(
+            [
+                (pixels[:, 0] - camera.cx) / camera.fx,
+                (pixels[:, 1] - camera.cy) / camera.fy,
+                np.ones(len(pixels)),
+            ],
+            axis=1,
+        )
+
+    def _radius_squared(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        camera = self._camera
+        x = (pixels[..., 0] - camera.cx) / camera.fx
+        y = (pixels[..., 1] - camera.cy) / camera.fy
+        return np.asarray(x * x + y * y)
+
+
+def _positive(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The nearest symmetric matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
