@@ -60,7 +60,7 @@ class Rectifier:
             baseline_m = calibration.baseline_m
         else:
             R_left, R_right, P_left, P_right = _rectifying_transforms(calibration, config.alpha)
-            baseline_m = float(-P_right[0, 3] / P_right[0, 0])
+            baseline_m = float(P_left[0, 3] / P_left[0, 0] - P_right[0, 3] / P_right[0, 0])
             self._cameras = {}
             for role, rig_camera, R, P in (
                 (LEFT, left, R_left, P_left),
@@ -203,7 +203,7 @@ def _rectifying_transforms(
         _coefficients(right.camera),
         left.camera.size,
         np.ascontiguousarray(T_right_left[:3, :3]),
-        T_right_left[:3, 3].reshape(3, 1),
+        np.ascontiguousarray(T_right_left[:3, 3]).reshape(3, 1),
     )
     if fisheye[0]:
         R_left, R_right, P_left, P_right, _ = cv2.fisheye.stereoRectify(
