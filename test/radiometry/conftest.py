@@ -26,8 +26,10 @@ class MovingScene:
 
     def clean(self, x_px: float, y_px: float = 0.0) -> NDArray[np.float64]:
         height, width = self.shape
-        x, y = round(x_px) % (self.wall.shape[1] - width), round(y_px) % 40
-        return self.wall[y : y + height, x : x + width].copy()
+        x = x_px % (self.wall.shape[1] - width - 1)
+        left, top = int(x), int(y_px) % 40
+        part = self.wall[top : top + height, left : left + width + 1]
+        return part[:, :-1] + (x - left) * (part[:, 1:] - part[:, :-1])
 
     def noisy(self, counts: NDArray[np.float64]) -> NDArray[np.uint16]:
         noise = self.noise_counts * self.rng.standard_normal(self.shape)
@@ -53,6 +55,9 @@ def make_scene(rng: np.random.Generator, shape: tuple[int, int]) -> MovingScene:
     for sigma, contrast in ((24.0, 60.0), (6.0, 30.0), (1.5, 12.0)):
         octave = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), sigma)
         wall += contrast * octave / octave.std()
+    # Smooth surfaces between rough ones, as asphalt between trees.
+    smooth = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), 30.0) > 0
+    wall = np.where(smooth, cv2.GaussianBlur(wall, (0, 0), 12.0), wall)
     return MovingScene(wall, shape, rng)
 
 

@@ -24,7 +24,8 @@ class FrameStatistics:
     ``contrast``: spread (5th to 95th percentile) of the block means; ``texture``: 95th percentile
     of the standard deviation within a block.  ``step``: median change of the block means since the
     frame before; ``common``: the fraction of blocks that changed with it.  ``quiet`` and ``busy``:
-    10th and 90th percentile of the standard deviation of the change within a block.
+    10th and 90th percentile of the standard deviation of the change within a block.  ``grain``:
+    10th percentile of the pixel noise within a block of this frame alone, fixed pattern included.
     """
 
     identical: bool
@@ -35,6 +36,7 @@ class FrameStatistics:
     common: float
     quiet: float
     busy: float
+    grain: float
 
 
 class StatisticsMaker:
@@ -48,7 +50,7 @@ class StatisticsMaker:
         self._stride = 2 if min(shape) >= 240 else 1
         side = self._stride * SAMPLES_PER_SIDE
         blocks = (max(1, shape[0] // side), max(1, shape[1] // side))
-        self._sums = np.zeros((4, *blocks), np.float64)
+        self._sums = np.zeros((5, *blocks), np.float64)
 
     def measure(self, image: NDArray[Any], previous: NDArray[Any]) -> FrameStatistics:
         """Statistics of ``image`` (H, W) against the frame before it, of the same format."""
@@ -73,6 +75,7 @@ class StatisticsMaker:
             common=float(np.mean(together)) if step else 0.0,
             quiet=float(quiet),
             busy=float(busy),
+            grain=float(np.sqrt(np.percentile(sums[4], 10) / 1.5)),
         )
 
 
@@ -80,19 +83,22 @@ class StatisticsMaker:
 def block_sums(
     image: NDArray[Any], previous: NDArray[Any], stride: int, out: NDArray[np.float64]
 ) -> None:
-    """Sums over 8x8 samples of each block: value, value squared, change, change squared.
+    """Sums over 8x8 samples of each block.
+
+    They are: value, value squared, change, change squared, and the squared deviation of a pixel
+    from the mean of its left and right neighbours (1.5 times the variance of white noise).
 
     Args:
         image: (H, W) uint8 or uint16.
         previous: the same shape and type.
         stride: distance of the samples in pixels.
-        out: (4, rows, columns) float64, written; values are relative to the first pixel.
+        out: (5, rows, columns) float64, written; values are relative to the first pixel.
     """
     origin = float(image[0, 0])
     side = stride * SAMPLES_PER_SIDE
     for row in range(out.shape[1]):
         for column in range(out.shape[2]):
-            value_sum, value_squares, change_sum, change_squares = 0.0, 0.0, 0.0, 0.0
+            value_sum, value_squares, change_sum, change_squares, grain = 0.0, 0.0, 0.0, 0.0, 0.0
             for y in range(row * side, min((row + 1) * side, image.shape[0]), stride):
                 for x in range(column * side, min((column + 1) * side, image.shape[1]), stride):
                     value = float(image[y, x])
@@ -101,10 +107,14 @@ def block_sums(
                     value_squares += (value - origin) ** 2
                     change_sum += change
                     change_squares += change * change
+                    left, right = max(x - 1, 0), min(x + 1, image.shape[1] - 1)
+                    middle = 0.5 * (float(image[y, left]) + float(image[y, right]))
+                    grain += (value - middle) ** 2
             out[0, row, column] = value_sum
             out[1, row, column] = value_squares
             out[2, row, column] = change_sum
             out[3, row, column] = change_squares
+            out[4, row, column] = grain
 
 
 def block_sums_reference(
@@ -116,7 +126,9 @@ def block_sums_reference(
     part = (slice(0, rows * side * stride, stride), slice(0, columns * side * stride, stride))
     value = image[part].astype(np.float64) - float(image[0, 0])
     change = image[part].astype(np.float64) - previous[part].astype(np.float64)
-    planes = [value, value**2, change, change**2]
+    padded = np.pad(image.astype(np.float64), ((0, 0), (1, 1)), mode="edge")
+    grain = image - 0.5 * (padded[:, :-2] + padded[:, 2:])
+    planes = [value, value**2, change, change**2, grain[part] ** 2]
     tiles = [plane.reshape(rows, side, columns, side).sum(axis=(1, 3)) for plane in planes]
     return np.array(tiles)
 

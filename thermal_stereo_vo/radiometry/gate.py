@@ -27,6 +27,9 @@ from thermal_stereo_vo.radiometry.repeats import NativeRepeats
 HISTORY_FRAMES = 30
 LEARNING_FRAMES = 5
 EVENTS_KEPT = 1000
+NEAR_IDENTICAL_MAX_S = 1.5
+FLOOR_LEAK = 1.0003
+"""The least noise ever seen is forgotten by 1 % a second at 30 Hz."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,7 @@ class FrameGate:
         self._on_event = on_event
         self.events: deque[GateEvent] = deque(maxlen=EVENTS_KEPT)
         self._scheduled: deque[tuple[int, int]] = deque(maxlen=8)
+        self._near_identical_max_ns = min(self._config.ffc_max_s, NEAR_IDENTICAL_MAX_S) * 1e9
         self._epoch = 0
         self._forget()
 
@@ -220,6 +224,7 @@ class FrameGate:
         self._state = GateState.TRACKING
         self._repeats = NativeRepeats()
         self._history: deque[FrameStatistics] = deque(maxlen=HISTORY_FRAMES)
+        self._noise_floor = np.inf
         self._periods_ns: deque[int] = deque(maxlen=16)
 
     @property
@@ -318,20 +323,21 @@ class FrameGate:
     def _is_near_identical(self, statistics: FrameStatistics, stamp_ns: int) -> bool:
         """A frozen picture behind an analog link: only the noise of the digitiser is left.
 
-        The quiet blocks of a live picture never change less than the sensor's noise, wherever the
-        camera looks, and no real motion ends within one frame and everywhere.
+        Between live pictures the quiet blocks never change less than by the sensor's noise,
+        wherever the camera looks; a frozen picture keeps that noise as grain.  No real motion ends
+        within one frame and everywhere.
         """
-        if len(self._history) < LEARNING_FRAMES:
+        if len(self._history) < LEARNING_FRAMES or self._noise_floor < 0.3:
             return False
-        quiet = np.array([past.quiet for past in self._history])
-        floor = float(quiet.min())
-        if floor < 0.3:
+        if stamp_ns - self._last_good_ns > self._near_identical_max_ns:
             return False
-        if stamp_ns - self._last_good_ns > self._config.ffc_max_s * 1e9:
-            return False
+        fallen = (
+            statistics.quiet < 0.5 * self._noise_floor
+            and statistics.busy < 0.5 * self._history[-1].busy
+        )
         alike = statistics.busy < 2.0 * statistics.quiet
-        fallen = statistics.quiet < 0.5 * floor and statistics.busy < 0.5 * self._history[-1].busy
-        return alike and fallen
+        grain_kept = statistics.quiet < np.sqrt(2) * 0.7 * statistics.grain
+        return bool(fallen and alike and grain_kept)
 
     def _is_shutter(self, statistics: FrameStatistics) -> bool:
         """All large and small structure went at once, and stays away."""
@@ -344,7 +350,8 @@ class FrameGate:
             return False
         inside = self._episode is not None and Cause.SHUTTER_VIEW in self._episode.causes
         limit = 0.5 if inside else 0.3
-        if statistics.contrast > limit * contrast or statistics.texture > limit * texture:
+        bland = max(limit * texture, 1.6 * statistics.grain)
+        if statistics.contrast > limit * contrast or statistics.texture > bland:
             return False
         abrupt = max(past.contrast for past in list(self._history)[-3:]) > 0.6 * contrast
         return inside or abrupt
@@ -405,6 +412,7 @@ class FrameGate:
             gap = self._close(raw, causes)
         else:
             self._history.append(statistics)
+            self._noise_floor = min(FLOOR_LEAK * self._noise_floor, statistics.quiet)
         if Cause.TIME_GAP not in causes:
             self._periods_ns.append(elapsed_ns)
         self._last_good, self._last_good_ns = raw.image, raw.stamp_ns
@@ -466,8 +474,10 @@ class FrameGate:
         duration_ns = raw.stamp_ns - episode.start_ns
         denied = _tells_of_correction(self._telemetry, raw.telemetry) is False
         reason, epoch_changed = self._judge(causes, duration_ns, denied)
-        if Cause.NEAR_IDENTICAL in causes and reason is GapReason.FAULT:
+        if Cause.NEAR_IDENTICAL in causes and duration_ns > self._near_identical_max_ns:
+            # No freeze lasts so long: the noise is smaller than was thought.
             self._history.clear()
+            self._noise_floor = np.inf
         self._episode = None
         if epoch_changed:
             self._epoch += 1

@@ -9,6 +9,8 @@ from collections import deque
 
 RUNS_KEPT = 16
 RUNS_TO_LEARN = 4
+REGULAR_RUNS = 3
+"""So many repeated images among the last ones are a ratio (25 Hz on 30 Hz), not hiccups."""
 LONGEST_NATIVE_RUN = 7
 """60 Hz link, 9 Hz core: six or seven repeats of each image."""
 
@@ -32,7 +34,7 @@ class NativeRepeats:
         """How many repeats of one image are by design; one to spare for jitter."""
         if len(self._runs) < RUNS_TO_LEARN:
             return LONGEST_NATIVE_RUN
-        if 2 * sum(run > 0 for run in self._runs) < len(self._runs):
+        if sum(run > 0 for run in self._runs) < REGULAR_RUNS:
             return 0
         return min(max(self._runs) + 1, LONGEST_NATIVE_RUN)
 
