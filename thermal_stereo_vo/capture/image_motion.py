@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SHRINK = 8
-_MIN_RESPONSE = 0.05
+_MIN_SIZE = 8
+_MIN_RESPONSE = 0.4
 
 
 class ImageMotion:
     """Global image motion between consecutive frames, by phase correlation of a small copy.
 
     Fixed pattern noise of single pixels averages out in the small copy, so that it does not pass
-    for standing still.
+    for standing still.  Good to about three pixels a frame, enough to judge a skew.
     """
 
     def __init__(self) -> None:
@@ -27,6 +28,8 @@ class ImageMotion:
     def update(self, image: NDArray[Any], stamp_ns: int) -> float | None:
         """Speed in px/s of full-size pixels since the frame before, or None where it is unclear."""
         size = (image.shape[1] // _SHRINK, image.shape[0] // _SHRINK)
+        if min(size) < _MIN_SIZE:
+            return None
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         last, self._last = self._last, small
         interval_s = (stamp_ns - self._last_ns) * 1e-9

@@ -95,10 +95,13 @@ class LinkStatus:
 
 
 @dataclass
-class _Rate:
+class Rate:
+    """Frames per second of the last second or so, from their arrival."""
+
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=_RATE_FRAMES))
 
     def hz(self, now_ns: int) -> float:
+        """At this moment on the monotonic clock."""
         if len(self.stamps) < 2:
             return 0.0
         # The silence since the last frame counts once it is longer than a usual interval.
@@ -132,7 +135,7 @@ class CameraLink:
         self._stamps = StampSource(clock, round(config.stamp_offset_ms * 1e6))
         self._sequence = SequenceCounter()
         self._counters = LinkCounters()
-        self._rate = _Rate()
+        self._rate = Rate()
         self._state = LinkState.CLOSED
         self._settling = 0
         self._reason = ""
@@ -181,7 +184,7 @@ class CameraLink:
             ),
             format=self._format,
             stamp_kind=self._stamps.kind,
-            rate_hz=self._rate.hz(time.monotonic_ns()),
+            rate_hz=self._rate.hz(time.monotonic_ns()) if self.streaming else 0.0,
         )
 
     def _run(self) -> None:
@@ -216,6 +219,7 @@ class CameraLink:
             self._counters.connections += 1
             self._format = stream.format
             self._sequence.restart()
+            self._rate.stamps.clear()
             self._settling = self._config.settling_frames
             self._state = LinkState.SETTLING
             watchdog = _Watchdog(self._config)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
-import time
-from collections.abc import Callable
 from ctypes import c_int64, c_uint32
 from pathlib import Path
 
@@ -61,8 +59,8 @@ class FakeDevice:
             "width": self.control.width,
             "height": self.control.height,
             "settling_frames": 0,
-            "timeout_s": 0.15,
-            "start_timeout_s": 0.3,
+            "timeout_s": 2.0,
+            "start_timeout_s": 2.0,
         }
         return StreamConfig(**(settings | changes))
 
@@ -87,17 +85,3 @@ def left(_all_devices) -> FakeDevice:
 def right(_all_devices) -> FakeDevice:
     _all_devices["right"].reset()
     return _all_devices["right"]
-
-
-@pytest.fixture
-def eventually() -> Callable[..., None]:
-    """``eventually(lambda: condition)``: wait for it, or fail with the last value of ``seen``."""
-
-    def wait(condition: Callable[[], object], seen: object = None, limit_s: float = 5.0) -> None:
-        deadline = time.monotonic() + limit_s
-        while not condition():
-            if time.monotonic() > deadline:
-                pytest.fail(f"not within {limit_s} s: {seen() if callable(seen) else seen}")
-            time.sleep(0.005)
-
-    return wait
