@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from thermal_stereo_vo.core.frames import RigFrame
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud
+from thermal_stereo_vo.radiometry.gate import GateEvent
 
 
 class Observer:
@@ -16,6 +17,9 @@ class Observer:
 
     wants_points: bool = False
     """Whether ``on_points`` shall be called; the map is only gathered when somebody asks."""
+
+    def on_gate_event(self, event: GateEvent) -> None:
+        """A camera went blind, came back, or has a fault."""
 
     def on_rig_frame(self, frame: RigFrame) -> None:
         """The rectified frame, before the odometry sees it."""
@@ -36,6 +40,10 @@ class ObserverList(Observer):
     def __init__(self, observers: Sequence[Observer] = ()) -> None:
         self._observers = list(observers)
         self.wants_points = any(observer.wants_points for observer in self._observers)
+
+    def on_gate_event(self, event: GateEvent) -> None:
+        for observer in self._observers:
+            observer.on_gate_event(event)
 
     def on_rig_frame(self, frame: RigFrame) -> None:
         for observer in self._observers:

@@ -19,6 +19,7 @@ from thermal_stereo_vo.core.results import OdometryResult
 from thermal_stereo_vo.observers import Observer, ObserverList, StageTimer
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
 from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
+from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, ThermalFrontEnd
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifier, assemble
 
@@ -27,6 +28,7 @@ from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifie
 class Config:
     """Every setting of the pipeline."""
 
+    front_end: FrontEndConfig = group(FrontEndConfig, "From raw to linear counts.")
     pairing: PairingConfig = group(PairingConfig, "Which images belong together.")
     rectification: RectificationConfig = group(RectificationConfig, "Row-aligned images.")
     agc: AgcConfig = group(AgcConfig, "The 8-bit view.")
@@ -45,14 +47,19 @@ class Pipeline:
         self._config = config
         self.odometry = create_odometry(config.odometry)
         self._roles = self.odometry.requirements.roles
+        self._observers = ObserverList(observers)
+        self.front_ends = {
+            role: ThermalFrontEnd(config.front_end, role, self._observers.on_gate_event)
+            for role in self._roles
+        }
         self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(config.pairing)
         self.rectifier = Rectifier(calibration, config.rectification)
         self._gain = AutomaticGain(config.agc)
-        self._observers = ObserverList(observers)
         self._timer = StageTimer()
 
     def warm_up(self) -> None:
         """Compile or load every kernel before the first frame."""
+        next(iter(self.front_ends.values())).warm_up()
         self._gain.warm_up()
         self.odometry.warm_up()
 
@@ -67,13 +74,10 @@ class Pipeline:
                 f"camera '{raw.camera}' is not one of {', '.join(self._roles)}, which the method "
                 "needs"
             )
-        frame = RadiometricFrame(
-            image=raw.image,
-            stamp_ns=raw.stamp_ns,
-            camera=raw.camera,
-            sequence=raw.sequence,
-            telemetry=raw.telemetry,
-        )
+        with self._timer.stage("front end"):
+            frame = self.front_ends[raw.camera].process(raw)
+        if frame is None:
+            return  # a repeat: the link is faster than the sensor
         for pair in self._pairer.push(self._roles.index(raw.camera), frame):
             yield self.process(pair)
 
@@ -84,6 +88,8 @@ class Pipeline:
 
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
         """Forget all images and go on from this pose; any stamp may follow."""
+        for front_end in self.front_ends.values():
+            front_end.reset()
         self._pairer = StereoPairer(self._config.pairing)
         self._gain.reset()
         self.odometry.reset(T_world_rig)
