@@ -31,13 +31,16 @@ class StereoCamera:
     def of(cls, left: CameraView, right: CameraView) -> StereoCamera:
         """The pair that two rectified views make up.
 
-        Raises CalibrationError when rows or focal lengths do not agree.
+        Raises CalibrationError when rows or focal lengths do not agree, or lenses are not ideal.
         """
         a, b = left.camera, right.camera
-        if abs(a.fy - b.fy) > 1e-6 * a.fy or abs(a.cy - b.cy) > 1e-3 or a.has_distortion:
+        same_focal = abs(a.fx - b.fx) <= 1e-6 * a.fx and abs(a.fy - b.fy) <= 1e-6 * a.fy
+        same_rows = abs(a.cy - b.cy) <= 1e-3
+        if not (same_focal and same_rows) or a.has_distortion or b.has_distortion:
             raise CalibrationError(
-                "the feature method needs rectified images: fy and cy of both eyes must agree "
-                f"(left {a.fy:g}, {a.cy:g}; right {b.fy:g}, {b.cy:g}); rectify first"
+                "the feature method needs rectified images: fx, fy and cy of both eyes must agree "
+                f"(left {a.fx:g}, {a.fy:g}, {a.cy:g}; right {b.fx:g}, {b.fy:g}, {b.cy:g}) and no "
+                "lens may bend rays; rectify first"
             )
         return cls(a.fx, a.fy, a.cx, a.cy, b.cx, float(right.T_rig_camera[0, 3]))
 
