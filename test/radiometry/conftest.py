@@ -70,3 +70,37 @@ def as_raw() -> Callable[..., RawFrame]:
         return RawFrame(np.array(image), 1_000_000_000 + k * PERIOD_NS, sequence=k, **more)
 
     return make
+
+
+@dataclass
+class Sensor:
+    """A made-up microbolometer array: what each pixel answers to a level at an FPA temperature.
+
+    ``y = level + offset(T) + response (level - 8000)``; ``dead`` pixels answer nothing.
+    """
+
+    shape: tuple[int, int]
+    offsets: NDArray[np.float64]
+    response: NDArray[np.float64]
+    dead: NDArray[np.bool_]
+
+    def offset(self, fpa_kelvin: float) -> NDArray[np.float64]:
+        t = (fpa_kelvin - 300.0) / 20.0
+        return np.tensordot(t ** np.arange(3), self.offsets, axes=1)
+
+    def see(self, level: NDArray[np.float64] | float, fpa_kelvin: float) -> NDArray[np.float64]:
+        counts = level + self.offset(fpa_kelvin) + self.response * (np.asarray(level) - 8000.0)
+        return np.where(self.dead, 3000.0, counts)
+
+
+@pytest.fixture
+def sensor(rng: np.random.Generator) -> Sensor:
+    shape = (96, 128)
+    offsets = rng.normal(0, 1, (3, *shape)) * np.array([40.0, 15.0, 4.0])[:, None, None]
+    offsets[0] += 20.0 * rng.standard_normal(shape[1])
+    offsets -= offsets.mean(axis=(1, 2), keepdims=True)
+    response = 0.03 * rng.standard_normal(shape)
+    response -= response.mean()
+    dead = np.zeros(shape, np.bool_)
+    dead[10, 20] = dead[0, 0] = dead[50, 60] = dead[50, 61] = True
+    return Sensor(shape, offsets, response, dead)

@@ -141,13 +141,26 @@ def non_uniformity(image: NDArray[Any], bad: NDArray[np.bool_]) -> float:
     return float(np.std(image[~bad].astype(np.float64)))
 
 
+def every_second_temperature(
+    frames: Sequence[FlatFrame],
+) -> tuple[list[FlatFrame], list[FlatFrame]]:
+    """The frames in order of FPA temperature, by turns: those to fit, those to test."""
+    parts: tuple[list[FlatFrame], list[FlatFrame]] = ([], [])
+    turn, last_kelvin = 1, -np.inf
+    for frame in sorted(frames, key=lambda frame: frame.fpa_kelvin):
+        if frame.fpa_kelvin - last_kelvin > SAME_TEMPERATURE_KELVIN:
+            turn, last_kelvin = 1 - turn, frame.fpa_kelvin
+        parts[turn].append(frame)
+    return parts
+
+
 def held_out_counts(
     frames: Sequence[FlatFrame], orders: FlatFieldOrders | None = None
 ) -> NDArray[np.float64]:
-    """(M // 2,) residual of every second frame (by temperature) under a fit to the others."""
-    ordered = sorted(frames, key=lambda frame: frame.fpa_kelvin)
-    calibration = fit_flat_field(ordered[0::2], orders=orders)
-    return residual_counts(calibration, ordered[1::2], reach_kelvin=30.0)
+    """(M,) residual of the frames at every second temperature under a fit to the others."""
+    fitted, tested = every_second_temperature(frames)
+    calibration = fit_flat_field(fitted, orders=orders)
+    return residual_counts(calibration, tested, reach_kelvin=30.0)
 
 
 def _check(frames: Sequence[FlatFrame]) -> None:

@@ -13,6 +13,8 @@ a .txt with fpaTemperatureC), or a bag with FPA temperatures.  For a gain, show 
 source and add their temperatures: cold=5 warm=40.
 """
 
+HELD_OUT_AT_LEAST = 3
+
 
 def add_flat_field_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what ``run_flat_field`` reads."""
@@ -57,6 +59,7 @@ def run_flat_field(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.calibration.radiometric import (
         FlatFieldOrders,
         describe_fit,
+        every_second_temperature,
         fit_flat_field,
         held_out_counts,
     )
@@ -83,11 +86,11 @@ def run_flat_field(args: argparse.Namespace) -> int:
     if args.quiet:
         return 0
     print(describe_fit(calibration))
-    if len(recording.frames) >= 12:
+    if len(every_second_temperature(recording.frames)[1]) >= HELD_OUT_AT_LEAST:
         held_out = held_out_counts(recording.frames, orders)
         print(
-            f"every second frame held out: residual {np.median(held_out):.2f} counts (median), "
-            f"{held_out.max():.2f} (largest)"
+            f"every second temperature held out: residual {np.median(held_out):.2f} counts "
+            f"(median), {held_out.max():.2f} (largest)"
         )
     print(f"{args.output}: {calibration.describe()}")
     return 0

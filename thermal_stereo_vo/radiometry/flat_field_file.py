@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,8 @@ def save_flat_field(path: str | Path, calibration: FlatFieldCalibration) -> None
             np.savez(file, **fields)
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         raise CalibrationError(f"cannot write the flat field {path}: {error.strerror}") from None
 
 
