@@ -96,8 +96,15 @@ def test_numbered_images_need_a_rate(pair, save_images):
         open_dataset(pair)
     dataset, _ = open_dataset(pair, SourceOptions(rate_hz=20.0))
     assert [f.stamp_ns for f in dataset.frames()][::2] == [0, 50_000_000, 100_000_000]
-    with pytest.raises(DatasetError, match="--rate must be positive, got 0"):
-        open_dataset(pair, SourceOptions(rate_hz=0.0))
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("rate_hz", 0.0), ("rate_hz", -1.0), ("length_m", float("nan"))]
+)
+def test_wishes_must_be_positive(option, value):
+    name = option.partition("_")[0]
+    with pytest.raises(DatasetError, match=f"--{name} must be positive, got {value}"):
+        SourceOptions(**{option: value})
 
 
 def test_frames_can_be_asked_for_twice(pair):

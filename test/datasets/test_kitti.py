@@ -123,6 +123,13 @@ def test_broken_lists_say_where(kitti_odometry, name, text, complaint):
         open_dataset(folder)
 
 
+def test_a_list_that_is_no_text(kitti_odometry):
+    folder, _ = kitti_odometry
+    (folder / "times.txt").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(DatasetError, match=r"cannot read .*times\.txt: 'utf-8' codec"):
+        open_dataset(folder)
+
+
 def test_swapped_eyes_are_told(kitti_odometry):
     folder, _ = kitti_odometry
     (folder / "calib.txt").write_text(f"P0: {P_RIGHT}\nP1: {P_LEFT}\n")

@@ -198,6 +198,12 @@ def test_an_existing_bag_is_never_overwritten(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["bag"]
 
 
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(DatasetError, match=r"bag .*/bag cannot be written \(.+\): choose another"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
 def test_calibration_lies_beside_the_messages(tmp_path):
     camera = Camera(64, 48, 70.0, 70.0, 32.0, 24.0)
     rig = RigCalibration(

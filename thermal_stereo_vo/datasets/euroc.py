@@ -25,7 +25,12 @@ from thermal_stereo_vo.core.transforms import (
     make_transform,
     rotation_from_quat_xyzw,
 )
-from thermal_stereo_vo.datasets.image_files import ImageFile, ImageFileDataset, list_images
+from thermal_stereo_vo.datasets.image_files import (
+    ImageFile,
+    ImageFileDataset,
+    list_images,
+    read_lines,
+)
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.datasets.replaced_calibration import replaced_calibration
 from thermal_stereo_vo.datasets.truth import true_poses
@@ -68,7 +73,7 @@ def _camera(folder: Path) -> list[ImageFile]:
     listing = folder / "data.csv"
     if listing.is_file():
         entries = []
-        for number, line in enumerate(listing.read_text().splitlines(), start=1):
+        for number, line in enumerate(read_lines(listing), start=1):
             words = [word.strip() for word in line.split(",")]
             if not line.strip() or line.startswith("#"):
                 continue
@@ -102,7 +107,7 @@ def _ground_truth(folder: Path, T_body_left: NDArray[np.float64]) -> Trajectory:
     stamps, poses = [], []
     T_left_sensor = inverse(T_body_left) @ _mount(folder / "sensor.yaml")
     T_sensor_left = inverse(T_left_sensor)
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         if not line.strip() or line.startswith("#"):
             continue
         words = line.split(",")

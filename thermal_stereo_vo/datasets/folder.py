@@ -44,8 +44,6 @@ def open_image_pair(folder: Path, options: SourceOptions) -> ImageFileDataset:
 
 def _stamped(images: list[Path], rate_hz: float | None) -> list[ImageFile]:
     if rate_hz is not None:
-        if not rate_hz > 0:
-            raise DatasetError(f"--rate must be positive, got {rate_hz}")
         return [ImageFile(round(i * 1e9 / rate_hz), path, i) for i, path in enumerate(images)]
     stamped = sorted((_stamp(path), path) for path in images)
     return [ImageFile(stamp, path, i) for i, (stamp, path) in enumerate(stamped)]

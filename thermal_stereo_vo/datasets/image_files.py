@@ -93,6 +93,14 @@ def list_images(folder: Path) -> list[Path]:
     return images
 
 
+def read_lines(path: Path) -> list[str]:
+    """Lines of a text file beside the images.  Raises DatasetError when it is none."""
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"cannot read {path}: {error}") from None
+
+
 def read_grey(path: Path) -> Image:
     """(H, W) uint8 or uint16 as stored; 8-bit colour becomes grey.
 

@@ -27,6 +27,7 @@ from thermal_stereo_vo.datasets.image_files import (
     check_order,
     list_images,
     read_grey,
+    read_lines,
 )
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.datasets.replaced_calibration import replaced_calibration
@@ -158,8 +159,10 @@ def _rows_of(numbers: Sequence[int], rows: int, origin: Path) -> Sequence[int]:
 def _read_seconds(path: Path) -> list[int]:
     """Seconds, one a line, to nanoseconds without a detour over floats."""
     stamps = []
-    for number, line in enumerate(path.read_text().split(), start=1):
-        match = re.fullmatch(r"(\d+)(?:\.(\d*))?(?:[eE]([+-]?\d+))?", line)
+    for number, line in enumerate(read_lines(path), start=1):
+        if not line.strip():
+            continue
+        match = re.fullmatch(r"(\d+)(?:\.(\d*))?(?:[eE]([+-]?\d+))?", line.strip())
         if match is None:
             raise DatasetError(f"{path}:{number}: '{line}' is no time in seconds")
         if match[3] is not None:
@@ -172,7 +175,7 @@ def _read_seconds(path: Path) -> list[int]:
 def _read_dates(path: Path) -> list[int]:
     """Lines such as ``2011-09-26 13:02:25.967790592``, taken as UTC, to nanoseconds."""
     stamps = []
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
+    for number, line in enumerate(read_lines(path), start=1):
         if not line.strip():
             continue
         whole, _, fraction = line.strip().partition(".")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from thermal_stereo_vo.core.errors import DatasetError
+
 
 @dataclass(frozen=True)
 class SourceOptions:
@@ -14,6 +16,8 @@ class SourceOptions:
     ``calibration`` replaces the calibration that travels with the recording.  ``rate_hz`` gives
     stamps to images that have none, and the frame rate of a simulated run.  ``length_m``, ``seed``
     and ``overrides`` (``key=value`` texts) shape a simulated run.
+
+    Raises DatasetError for a rate or length that is not positive.
     """
 
     left_topic: str | None = None
@@ -24,3 +28,8 @@ class SourceOptions:
     length_m: float | None = None
     seed: int = 0
     overrides: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for option, value in (("--rate", self.rate_hz), ("--length", self.length_m)):
+            if value is not None and not 0 < value < float("inf"):
+                raise DatasetError(f"{option} must be positive, got {value}")

@@ -63,7 +63,7 @@ class BagWriter:
     Use as a context manager.  Each message is logged at its own stamp.  Connections are made at the
     first message of a topic.
 
-    Raises DatasetError when ``path`` exists already.
+    Raises DatasetError when ``path`` exists already or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -74,9 +74,14 @@ class BagWriter:
         self.path = path
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._connections: dict[str, Any] = {}
-        path.parent.mkdir(parents=True, exist_ok=True)
         # The files inside a bag carry the bag's name, so only the folder around it is temporary.
-        self._scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        except OSError as error:
+            raise DatasetError(
+                f"the bag {path} cannot be written ({error.strerror}): choose another place"
+            ) from None
         self._writer = Writer(
             self._scratch / path.name, version=9, storage_plugin=StoragePlugin.MCAP
         )
