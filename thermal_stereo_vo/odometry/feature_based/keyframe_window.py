@@ -76,6 +76,13 @@ class KeyframeWindow:
         """Slot of the newest keyframe."""
         return self.order[-1]
 
+    def clear(self) -> None:
+        """Forget all keyframes and points; the room stays."""
+        self.order.clear()
+        self._hosts[:] = -1
+        self._observed[:] = np.nan
+        self._relative_covariance.clear()
+
     def newest_pose(self) -> PoseEstimate:
         """World pose of the newest keyframe with its covariance."""
         return self._pose(self.newest)

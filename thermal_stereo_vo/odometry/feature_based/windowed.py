@@ -445,8 +445,13 @@ class WindowedOdometry:
         result = self._state.measured(pose, T_after_before, covariance, elapsed_s, stats)
         self._last_pose, self._last_stamp_ns = pose, frame.stamp_ns
         if is_keyframe:
+            if stats.inliers < self._status_config.degraded_inliers:
+                # A thread of few points would let the adjustment swing old against new: what is
+                # measured now stays measured, with its covariance.
+                window.clear()
+                self._tracked = None
             with self._timer.stage("keyframe"):
-                self._add_keyframe(frame, tracked, pyramids)
+                self._add_keyframe(frame, self._tracked, pyramids)
         return result
 
     def _visible(self, tracked: _Tracked) -> NDArray[np.bool_]:
