@@ -74,7 +74,10 @@ class SolverConfig:
 
 @dataclass(frozen=True)
 class Solution:
-    """``T`` (4, 4) at the minimum, half squared error ``cost`` (px^2), ``A`` (6, 6) there."""
+    """``T`` (4, 4) at the minimum, half squared error ``cost`` (px^2), ``A`` (6, 6) there.
+
+    A start that puts a point behind the camera is given back unconverged at infinite cost.
+    """
 
     T: NDArray[np.float64]
     cost: float
@@ -135,6 +138,8 @@ def gauss_newton(  # type: ignore[no-untyped-def]
     A, g, step = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     cost = _linearise(T, points, observed, weights, camera, scale, A, g)
     evaluations, iterations = 1, 0
+    if not np.isfinite(cost):  # a point behind the camera: no place to start from
+        return T, cost, np.zeros((6, 6)), iterations, evaluations, False
     converged = _largest(g) <= gradient_eps
     while not converged and iterations < max_iterations:
         iterations += 1
@@ -172,6 +177,8 @@ def levenberg_marquardt(  # type: ignore[no-untyped-def]
     A_new, g_new = np.zeros((6, 6)), np.zeros(6)
     cost = _linearise(T, points, observed, weights, camera, scale, A, g)
     evaluations, iterations = 1, 0
+    if not np.isfinite(cost):  # a point behind the camera: no place to start from
+        return T, cost, np.zeros((6, 6)), iterations, evaluations, False
     mu, nu = tau * np.max(np.diag(A)), 2.0
     converged = _largest(g) <= gradient_eps
     while not converged and iterations < max_iterations and np.isfinite(mu):
@@ -222,6 +229,8 @@ def double_dogleg(  # type: ignore[no-untyped-def]
     A_new, g_new = np.zeros((6, 6)), np.zeros(6)
     cost = _linearise(T, points, observed, weights, camera, scale, A, g)
     evaluations, iterations = 1, 0
+    if not np.isfinite(cost):  # a point behind the camera: no place to start from
+        return T, cost, np.zeros((6, 6)), iterations, evaluations, False
     converged = _largest(g) <= gradient_eps
     while not converged and iterations < max_iterations:
         iterations += 1

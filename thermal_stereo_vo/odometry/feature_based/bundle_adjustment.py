@@ -29,9 +29,11 @@ RHO_MIN = 1e-5
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """``T_k_w`` (K, 4, 4) keyframes, oldest first, the oldest held fixed; points with ``hosts``
-    (N,) index of keyframe, ``bearings`` (N, 3), ``rhos`` (N,) 1/m; ``observed`` (K, N, 4) px with
-    NaN where unseen; ``weights`` (K, N).
+    """Keyframes and what they saw.
+
+    ``T_k_w`` (K, 4, 4) keyframes, oldest first, the oldest held fixed; points with ``hosts`` (N,)
+    index of keyframe, ``bearings`` (N, 3), ``rhos`` (N,) 1/m; ``observed`` (K, N, 4) px with NaN
+    where unseen; ``weights`` (K, N).
     """
 
     T_k_w: NDArray[np.float64]
@@ -45,7 +47,9 @@ class BundleProblem:
 
 @dataclass(frozen=True)
 class BundleSolution:
-    """``T_k_w`` (K, 4, 4); ``rhos`` (N,) with ``rho_information`` (N,) px^2 m^2 given the poses;
+    """Keyframes and depths at the minimum.
+
+    ``T_k_w`` (K, 4, 4); ``rhos`` (N,) with ``rho_information`` (N,) px^2 m^2 given the poses;
     ``covariance`` (6 (K-1), 6 (K-1)) of the left perturbations of all keyframes but the oldest;
     ``residuals`` (K, N, 4) px.
     """
@@ -82,7 +86,7 @@ def adjust_bundle(
         done += used
     window_residuals(T, rhos, *fixed, residuals)
     try:
-        covariance = sigma_px**2 * np.linalg.inv(A)
+        covariance = np.asarray(sigma_px**2 * np.linalg.inv(A), np.float64)
     except np.linalg.LinAlgError:
         return None
     if not np.all(np.isfinite(covariance)):

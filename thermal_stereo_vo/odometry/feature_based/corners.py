@@ -50,7 +50,7 @@ def find_corners(
     threshold = np.float32(config.quality * float(strength.max()))
     everywhere = np.ones((1, 1), np.bool_)
     everywhere.flags.writeable = False
-    return pick_corners(
+    corners: NDArray[np.int64] = pick_corners(
         strength,
         threshold,
         np.ascontiguousarray(occupied_px, dtype=np.float64).reshape(-1, 2),
@@ -59,6 +59,7 @@ def find_corners(
         per_cell,
         border_px,
     )
+    return corners
 
 
 @njit(cache=True, nogil=True)

@@ -22,8 +22,10 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
 
 @dataclass(frozen=True)
 class FramePose:
-    """``T_camera_world`` (4, 4); ``covariance`` (6, 6) of its left perturbation, given the
-    keyframes; ``residuals`` (N, 4) px, NaN where unused; ``sigma_px`` robust noise.
+    """A pose and how well it fits.
+
+    ``T_camera_world`` (4, 4); ``covariance`` (6, 6) of its left perturbation, given the keyframes;
+    ``residuals`` (N, 4) px, NaN where unused; ``sigma_px`` robust noise.
     """
 
     T_camera_world: NDArray[np.float64]
@@ -70,7 +72,7 @@ def refine_frame_pose(
             return None
     frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, residuals)
     try:
-        covariance = sigma_px**2 * np.linalg.inv(A)
+        covariance = np.asarray(sigma_px**2 * np.linalg.inv(A), np.float64)
     except np.linalg.LinAlgError:
         return None
     if not np.all(np.isfinite(covariance)):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 LEVELS = 4
 
 Pyramid = tuple[NDArray[np.float32], ...]
-"""``LEVELS`` images (H / 2^l, W / 2^l) float32.  A pixel x of level 0 lies at x / 2^l of level l."""
+"""``LEVELS`` images (H / 2^l, W / 2^l) float32.  Pixel x of level 0 is x / 2^l of level l."""
 
 
 def build_pyramid(image: NDArray[np.generic], smoothing_px: float) -> Pyramid:

@@ -113,7 +113,8 @@ class KeyframeWindow:
         """(N, 3) world coordinates."""
         in_host = points.bearings / points.rhos[:, None]
         T_world_host = np.stack([inverse(T) for T in self.T_keyframe_world])[points.hosts]
-        return np.einsum("nij,nj->ni", T_world_host[:, :3, :3], in_host) + T_world_host[:, :3, 3]
+        turned = np.einsum("nij,nj->ni", T_world_host[:, :3, :3], in_host)
+        return np.asarray(turned + T_world_host[:, :3, 3])
 
     def intensities(self, points: WindowPoints) -> NDArray[np.float32]:
         """(N,) counts of the points' pixels."""
@@ -234,7 +235,9 @@ class KeyframeWindow:
     def _forget_oldest(self) -> None:
         """The second oldest becomes the one held fixed, with the uncertainty it has by now."""
         oldest, heir = self.order[0], self.order[1]
-        T_oldest_heir = inverse(self.T_keyframe_world[oldest] @ inverse(self.T_keyframe_world[heir]))
+        T_oldest_heir = inverse(
+            self.T_keyframe_world[oldest] @ inverse(self.T_keyframe_world[heir])
+        )
         heir_given_oldest = self._relative_covariance[heir]
         self._oldest_covariance = self._pose(heir).covariance
         for slot in self.order[2:]:

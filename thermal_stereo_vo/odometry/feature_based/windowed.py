@@ -304,9 +304,7 @@ class WindowedOdometry:
             return None
         return _Tracked(points, observed, inliers, pose)
 
-    def _weights(
-        self, points: WindowPoints, observed: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _weights(self, points: WindowPoints, observed: NDArray[np.float64]) -> NDArray[np.float64]:
         camera, trust = self._camera, self._config.radial_trust
         assert camera is not None
         if trust == 0.0:
@@ -641,4 +639,4 @@ class WindowedOdometry:
         )
         if motion is None:
             return None
-        return motion.T_current_previous @ window.T_keyframe_world[window.newest]
+        return np.asarray(motion.T_current_previous @ window.T_keyframe_world[window.newest])
