@@ -93,6 +93,19 @@ def test_segments_of_a_recorded_drive_are_those_of_the_devkit(recording, odometr
     )
 
 
+def test_a_segment_ends_at_the_first_frame_beyond_its_length():
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, 2, 3] = np.arange(40)  # exactly a metre each: a length is reached, then exceeded
+    truth = Trajectory(np.arange(40) * 100_000_000, poses)
+    segments = segment_errors(compare(truth, truth), (5.0, 20.0), stride=10)
+    assert segments.first.tolist() == [0, 10, 20, 30, 0, 10]
+    assert segments.last.tolist() == [6, 16, 26, 36, 21, 31]
+    items = devkit(poses, poses, (5.0, 20.0), 10)
+    assert sorted(item[:3] for item in items) == sorted(
+        zip(segments.first, segments.last, segments.length_m, strict=True)
+    )
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_relative_errors_do_not_depend_on_either_world(seed):
