@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermal_stereo_vo.core.errors import DatasetError
-from thermal_stereo_vo.datasets.bag_report import inspect_bag, skew_of, timing_of
+from thermal_stereo_vo.datasets.bag_report import count_messages, inspect_bag, skew_of, timing_of
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.outputs.bag_writer import BagWriter
 
@@ -79,3 +79,14 @@ def test_an_empty_bag_is_refused(tmp_path):
         pass
     with pytest.raises(DatasetError, match="holds no messages: record again"):
         inspect_bag(tmp_path / "empty", SourceOptions())
+
+
+def test_a_bag_that_is_not_there(tmp_path):
+    with pytest.raises(DatasetError, match=r"there is no bag .*nowhere: correct the path"):
+        inspect_bag(tmp_path / "nowhere", SourceOptions())
+
+
+def test_each_message_is_counted_once(bag):
+    calls = []
+    inspect_bag(bag, SourceOptions(), lambda: calls.append(1))
+    assert len(calls) == count_messages(bag) == 11

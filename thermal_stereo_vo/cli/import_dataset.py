@@ -6,9 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from thermal_stereo_vo.cli.progress import progress
 from thermal_stereo_vo.cli.source_arguments import add_source_arguments, source_options
-
-HELP = "turn a recording into a ROS 2 bag (mcap)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,8 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the bag; nothing is left behind after an error."""
-    from tqdm import tqdm
-
     from thermal_stereo_vo.datasets.registry import open_dataset
     from thermal_stereo_vo.outputs.dataset_bag import write_dataset
 
@@ -32,9 +29,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.source} is a {reason}", file=sys.stderr)
     instants = dataset.instants()
     total = None if instants is None else instants * len(dataset.cameras)
-    # disable=None: a bar on a terminal only.
-    with tqdm(total=total, unit="image", disable=True if args.quiet else None) as bar:
-        count = write_dataset(dataset, args.output, bar.update)
+    with progress(total, "image", quiet=args.quiet) as step:
+        count = write_dataset(dataset, args.output, step)
     if not args.quiet:
         print(f"{count} images of {', '.join(dataset.cameras)} written to {args.output}")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-HELP = "list topics, rates, image formats, gaps and the pairing of the eyes of a bag"
+from thermal_stereo_vo.cli.progress import progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,9 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the report once the whole bag has been read."""
-    from thermal_stereo_vo.datasets.bag_report import inspect_bag
+    from thermal_stereo_vo.datasets.bag_report import count_messages, inspect_bag
     from thermal_stereo_vo.datasets.options import SourceOptions
 
     options = SourceOptions(left_topic=args.left_topic, right_topic=args.right_topic)
-    print(inspect_bag(args.bag, options, quiet=args.quiet))
+    with progress(count_messages(args.bag), "message", quiet=args.quiet) as step:
+        report = inspect_bag(args.bag, options, step)
+    print(report)
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,9 +54,26 @@ class Skew:
     largest_ms: float
 
 
-def inspect_bag(path: Path, options: SourceOptions, *, quiet: bool = True) -> str:
-    """A report of several lines.  Raises DatasetError for a bag that cannot be read."""
-    topics, first_ns, last_ns = _summarise(path, quiet)
+def count_messages(path: Path) -> int:
+    """Messages in a bag.  Raises DatasetError for a bag that is empty or cannot be read."""
+    if not path.exists():
+        raise DatasetError(f"there is no bag {path}: correct the path")
+    with open_bag_reader(path) as reader:
+        count = int(reader.message_count)
+    if count == 0:
+        raise DatasetError(f"the bag {path} holds no messages: record again")
+    return count
+
+
+def inspect_bag(
+    path: Path, options: SourceOptions, on_message: Callable[[], object] = lambda: None
+) -> str:
+    """A report of several lines; ``on_message`` is called after each message that was read.
+
+    Raises DatasetError for a bag that is empty or cannot be read.
+    """
+    count_messages(path)
+    topics, first_ns, last_ns = _summarise(path, on_message)
     total = sum(len(topic.stamps_ns) for topic in topics.values())
     size_mb = sum(file.stat().st_size for file in _files(path)) / 1e6
     lines = [
@@ -124,24 +141,17 @@ def _nearest(sorted_values: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDA
     return nearest
 
 
-def _summarise(path: Path, quiet: bool) -> tuple[dict[str, TopicSummary], int, int]:
-    from tqdm import tqdm
-
+def _summarise(
+    path: Path, on_message: Callable[[], object]
+) -> tuple[dict[str, TopicSummary], int, int]:
     with open_bag_reader(path) as reader:
-        connections = list(reader.connections)
-        topics = {c.topic: TopicSummary(c.msgtype) for c in connections}
-        if reader.message_count == 0:
-            raise DatasetError(f"the bag {path} holds no messages: record again")
-        first_ns, last_ns = reader.start_time, reader.end_time
-        with tqdm(
-            total=reader.message_count, unit="message", disable=True if quiet else None
-        ) as bar:
-            for name, topic in topics.items():
-                for kind, log_ns, message in read_messages(reader, [name], path):
-                    topic.stamps_ns.append(_stamp(message, log_ns))
-                    topic.formats |= _formats(message, kind)
-                    bar.update()
-    return topics, first_ns, last_ns
+        topics = {c.topic: TopicSummary(c.msgtype) for c in reader.connections}
+        for name, topic in topics.items():
+            for kind, log_ns, message in read_messages(reader, [name], path):
+                topic.stamps_ns.append(_stamp(message, log_ns))
+                topic.formats |= _formats(message, kind)
+                on_message()
+        return topics, reader.start_time, reader.end_time
 
 
 def _stamp(message: Any, log_ns: int) -> int:
