@@ -242,8 +242,9 @@ def _readable(path: Path) -> Iterator[None]:
     except Exception as error:
         cause = " ".join(str(error).split()) or type(error).__name__
         raise DatasetError(
-            f"the bag {path} cannot be read ({cause}): it is damaged or was cut short; copy it "
-            "again, or repair it with 'ros2 bag reindex' (ROS 1: 'rosbag reindex')"
+            f"the bag {path} cannot be read ({cause.rstrip('.')}): it is damaged or was cut "
+            "short; copy it again, or repair it ('mcap recover', 'ros2 bag reindex', ROS 1: "
+            "'rosbag reindex')"
         ) from error
 
 
