@@ -20,6 +20,7 @@ from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
 
 EYES = (LEFT, RIGHT)
+_MOTION_EVERY = 8
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class StereoCaptureConfig:
         minimum=1,
         maximum=1000,
     )
+    left_calibration: str = setting(
+        "",
+        "URL of the left camera_info file: file:///PATH or package://PACKAGE/PATH; empty for none.",
+    )
+    right_calibration: str = setting("", "The same for the right camera.")
     pairing: PairingConfig = group(PairingConfig, "Which images belong together.")
     sync: SyncConfig = group(SyncConfig, "How the cameras keep step.")
     grabbers: GrabberConfig = group(GrabberConfig, "The two cameras and their grabbers.")
@@ -105,7 +111,7 @@ class StereoCapture:
             pairing if pairing is not None else PairingConfig()
         )
         self._monitor = SyncMonitor(sync if sync is not None else SyncConfig())
-        self._motion = ImageMotion()
+        self._motion = ImageMotion(_MOTION_EVERY)
         self._waiting: deque[CapturedPair] = deque()
         self._max_waiting = waiting_pairs
         self._changed = threading.Condition()
@@ -162,11 +168,19 @@ class StereoCapture:
         """No corrections for a while, or again.  Raises CaptureError without control."""
         self._source.inhibit_ffc(inhibit)
 
+    def counters(self) -> CaptureCounters:
+        """What became of the frames so far."""
+        return replace(self._counters)
+
+    def cameras(self) -> dict[str, CameraStatus]:
+        """Role -> how the camera is."""
+        return self._source.status()
+
     def status(self) -> CaptureStatus:
         """How everything is; may be called from any thread."""
         return CaptureStatus(
-            cameras=self._source.status(),
-            counters=replace(self._counters),
+            cameras=self.cameras(),
+            counters=self.counters(),
             sync=self._monitor.report(),
             ffc_inhibited=self._source.ffc_inhibited(),
         )

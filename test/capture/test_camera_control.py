@@ -76,14 +76,14 @@ def test_settings_are_written_where_they_differ_and_read_back(control, pty_camer
         gain_mode="high",
         agc_type="linear",
         agc_filter="16",
-        external_sync="slave",
+        external_sync="right_master",
         lvds_output="14_bit",
         xp_output="bt656",
         video_standard="NTSC_30",
         zoom="1x",
         ffc_warn_frames=0,
     )
-    changes = control.configure(settings)
+    changes = control.configure(settings, "left")
     assert changes == (
         "GAIN_MODE 0 -> 2",
         "DIGITAL_OUTPUT 2 -> 0",
@@ -96,31 +96,41 @@ def test_settings_are_written_where_they_differ_and_read_back(control, pty_camer
     assert pty_camera.registers[0x0A] == b"\0\2"
     assert pty_camera.xp == 1
     pty_camera.received.clear()
-    assert control.configure(settings) == ()
+    assert control.configure(settings, "left") == ()
     assert written(pty_camera) == [(0x12, "0200")]  # the question for the XP bus
 
 
+@pytest.mark.parametrize(
+    ("setting", "left", "right"),
+    [("disabled", 0, 0), ("slaves", 1, 1), ("left_master", 2, 1), ("right_master", 1, 2)],
+)
+def test_who_gives_the_pulse(control, pty_camera, setting, left, right):
+    for camera, word in (("left", left), ("right", right)):
+        control.configure(CameraSettings(external_sync=setting), camera)
+        assert pty_camera.registers[0x21] == bytes([0, word])
+
+
 def test_keep_touches_nothing(control, pty_camera):
-    assert control.configure(CameraSettings()) == ()
+    assert control.configure(CameraSettings(), "left") == ()
     assert pty_camera.received == []
 
 
 def test_a_value_that_does_not_stick_is_reported(control, pty_camera):
     pty_camera.stuck.add(0x21)
     with pytest.raises(CameraControlError, match="EXTERNAL_SYNC was set to 2 but reads 0"):
-        control.configure(CameraSettings(external_sync="master"))
+        control.configure(CameraSettings(external_sync="left_master"), "left")
 
 
 def test_agc_region_of_newer_firmware_keeps_the_other_zooms(control, pty_camera):
     pty_camera.regions = struct.pack(">12h", -320, -240, 320, 240, *range(8))
-    changes = control.configure(CameraSettings(agc_roi="-320,0,320,240"))
+    changes = control.configure(CameraSettings(agc_roi="-320,0,320,240"), "left")
     assert changes == ("AGC_ROI (-320, -240, 320, 240) -> (-320, 0, 320, 240)",)
     assert pty_camera.regions == struct.pack(">12h", -320, 0, 320, 240, *range(8))
 
 
 def test_agc_region_of_older_firmware(control, pty_camera):
     pty_camera.regions = struct.pack(">8h", -320, -240, 320, 240, *range(4))
-    control.configure(CameraSettings(agc_roi="-320,0,320,240"))
+    control.configure(CameraSettings(agc_roi="-320,0,320,240"), "left")
     assert written(pty_camera) == [(ROI, struct.pack(">4h", -320, 0, 320, 240).hex())]
     assert pty_camera.regions == struct.pack(">8h", -320, 0, 320, 240, *range(4))
 

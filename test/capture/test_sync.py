@@ -46,6 +46,14 @@ def test_a_flat_picture_tells_no_motion(rng):
     assert noise == [None] * 3
 
 
+def test_two_frames_out_of_some_are_enough(rng):
+    world = scene(rng, 500.0).astype(np.uint16)
+    motion = ImageMotion(every=4)
+    speeds = [motion.update(world[:512, 40 * n :][:, :640], n * PERIOD_NS) for n in range(12)]
+    assert [speed is not None for speed in speeds] == [False, True, False, False] * 3
+    assert [speed for speed in speeds if speed] == pytest.approx([1200.0] * 3, rel=0.1)
+
+
 def test_another_size_starts_anew(rng):
     motion = ImageMotion()
     world = scene(rng, 500.0).astype(np.uint16)

@@ -22,11 +22,17 @@ _CELSIUS_ZERO_KELVIN = 273.15
 
 _GAIN = {"auto": 0, "low": 1, "high": 2, "manual": 3}
 _AGC = {"plateau": 0, "once_bright": 1, "auto_bright": 2, "manual": 3, "linear": 5}
-_SYNC = {"off": 0, "slave": 1, "master": 2}
+_SYNC = {"disabled": 0, "slave": 1, "master": 2}
+_SYNC_OF_PAIR = {
+    "disabled": {"left": "disabled", "right": "disabled"},
+    "slaves": {"left": "slave", "right": "slave"},
+    "left_master": {"left": "master", "right": "slave"},
+    "right_master": {"left": "slave", "right": "master"},
+}
 _ZOOM = {"1x": 0, "2x": 4}
 _STANDARD = {"NTSC_30": 0, "PAL_25": 1, "NTSC_60": 3, "PAL_50": 4}
-_LVDS = {"14_bit": 0, "8_bit": 1, "off": 2, "14_bit_unfiltered": 3}
-_XP = {"off": 0, "bt656": 1, "cmos": 2}
+_LVDS = {"14_bit": 0, "8_bit": 1, "disabled": 2, "14_bit_unfiltered": 3}
+_XP = {"disabled": 0, "bt656": 1, "cmos": 2}
 _GET_XP, _SET_XP = 0x0200, 0x0300
 _SENSOR_FPA, _SENSOR_HOUSING, _SENSOR_FLAGS = 0x00, 0x0A, 0x11
 
@@ -60,7 +66,11 @@ class CameraSettings:
         "Generation of the camera's firmware: Tau 2.7 and later, or before.",
         choices=("unknown", "before_2_7", "2_7"),
     )
-    external_sync: str = setting(KEEP, "Frame start by an external pulse.", choices=(KEEP, *_SYNC))
+    external_sync: str = setting(
+        KEEP,
+        "Frame start by a pulse: both cameras slaves of another device, or one the master.",
+        choices=(KEEP, *_SYNC_OF_PAIR),
+    )
     ffc_warn_frames: int = setting(
         -1,
         "Frames before an automatic correction at which a symbol appears in the 8-bit picture; 0 "
@@ -160,8 +170,10 @@ class Tau2Control:
         """Close it: a uniform scene for a calibration."""
         self._port.call(Function.SHUTTER_POSITION, _word(1))
 
-    def configure(self, settings: CameraSettings) -> tuple[str, ...]:
+    def configure(self, settings: CameraSettings, camera: str) -> tuple[str, ...]:
         """Write what differs from ``settings``; says what was changed.
+
+        ``camera`` is left or right, for who of the two is the master of the pulse.
 
         Raises CameraControlError for a value that the camera does not take over, ConfigError for
         settings that cannot be meant.
@@ -175,7 +187,9 @@ class Tau2Control:
             Function.DIGITAL_OUTPUT: _LVDS.get(settings.lvds_output),
             Function.AGC_TYPE: _AGC.get(settings.agc_type),
             Function.AGC_FILTER: filter_word,
-            Function.EXTERNAL_SYNC: _SYNC.get(settings.external_sync),
+            Function.EXTERNAL_SYNC: _SYNC.get(
+                _SYNC_OF_PAIR.get(settings.external_sync, {}).get(camera, KEEP)
+            ),
             Function.FFC_WARN_TIME: (
                 None if settings.ffc_warn_frames < 0 else settings.ffc_warn_frames
             ),

@@ -166,7 +166,7 @@ class ControlLink:
             control = Tau2Control(port)
             self._automatic = self._temperatures_ns = None
             identity = str(control.identity())
-            changes = control.configure(self._settings)
+            changes = control.configure(self._settings, self.camera)
             if changes:
                 logger.info("camera '%s' set: %s", self.camera, "; ".join(changes))
             self._tell(

@@ -18,15 +18,24 @@ class ImageMotion:
 
     Fixed pattern noise of single pixels averages out in the small copy, so that it does not pass
     for standing still.  Good to about three pixels a frame, enough to judge a skew.
+    ``every``: two consecutive frames out of so many are looked at.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, every: int = 1) -> None:
+        self._every = every
+        self._count = 0
         self._last: NDArray[np.float32] | None = None
         self._last_ns = 0
         self._window: NDArray[np.float32] | None = None
 
     def update(self, image: NDArray[Any], stamp_ns: int) -> float | None:
         """Speed in px/s of full-size pixels since the frame before, or None where it is unclear."""
+        turn = self._count % self._every
+        self._count += 1
+        if turn > 1:
+            return None
+        if turn == 0 and self._every > 1:
+            self._last = None
         size = (image.shape[1] // _SHRINK, image.shape[0] // _SHRINK)
         if min(size) < _MIN_SIZE:
             return None
