@@ -10,6 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 
+THIN_M = 0.35
+"""Things narrower than this are announced to the renderer, lest a coarse ray grid misses them."""
+
+
 @dataclass(frozen=True)
 class Mesh:
     """N triangles.
@@ -17,29 +21,22 @@ class Mesh:
     ``vertices`` (N, 3, 3) float32 metres, counter-clockwise seen from outside.  ``material`` (N,)
     int32 index.  ``surface`` (N,) int32: triangles of one surface have no visible edge between
     them.  ``offset_kelvin`` (N, 3) float32 temperature at each vertex relative to the material.
-    ``rest`` (N, 3, 3) float32 are the vertices the texture clings to: those of ``vertices`` unless
-    the mesh has been moved.
+    ``thin`` (K, 7) float32 are the axes of slender parts: both ends (m) and the width (m).
     """
 
     vertices: NDArray[np.float32]
     material: NDArray[np.int32]
     surface: NDArray[np.int32]
     offset_kelvin: NDArray[np.float32]
-    rest: NDArray[np.float32]
+    thin: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.vertices)
 
-    def moved(self, T_map_object: Floats) -> Mesh:
-        """The same triangles elsewhere; the texture moves with them."""
-        vertices = self.vertices @ T_map_object[:3, :3].T + T_map_object[:3, 3]
-        return Mesh(
-            vertices.astype(np.float32),
-            self.material,
-            self.surface,
-            self.offset_kelvin,
-            self.rest,
-        )
+    @property
+    def surfaces(self) -> int:
+        """How many surfaces there are."""
+        return int(self.surface.max(initial=-1)) + 1
 
 
 class MeshBuilder:
@@ -50,6 +47,7 @@ class MeshBuilder:
         self._material: list[NDArray[np.int32]] = []
         self._surface: list[NDArray[np.int32]] = []
         self._offset: list[Floats] = []
+        self._thin: list[Floats] = []
         self._surfaces = 0
 
     def triangles(
@@ -87,6 +85,8 @@ class MeshBuilder:
         corners = np.asarray(corners_m, dtype=np.float64).reshape(-1, 4, 3)
         n = len(corners)
         offsets = np.broadcast_to(np.asarray(offset_kelvin, np.float64), (n, 4))
+        if not one_surface:
+            self._announce(corners)
         halves = [[0, 1, 2], [0, 2, 3]]
         materials = np.repeat(np.broadcast_to(np.asarray(material, np.int32), n), 2)
         surface = np.repeat(np.arange(n, dtype=np.int32) * (not one_surface), 2)
@@ -141,33 +141,34 @@ class MeshBuilder:
         high = top + (radius_m if top_radius_m is None else top_radius_m) * ring
         quads = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
         self.quads(quads, material, offset_kelvin=offset_kelvin, one_surface=True)
+        width = radius_m + (radius_m if top_radius_m is None else top_radius_m)
+        if width < THIN_M:
+            self._thin.append(np.concatenate([foot, top, [width]])[None])
 
-    def mesh(self, mesh: Mesh) -> None:
-        """Add a finished mesh where it stands."""
-        self.triangles(
-            mesh.vertices,
-            mesh.material,
-            offset_kelvin=mesh.offset_kelvin,
-            surface=mesh.surface - mesh.surface.min(initial=0),
-        )
+    def _announce(self, corners: Floats) -> None:
+        """Note the quads that are slender."""
+        a = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        b = np.linalg.norm(corners[:, 2] - corners[:, 1], axis=1)
+        slender = (np.minimum(a, b) < THIN_M) & (np.maximum(a, b) > 0.05)
+        if not np.any(slender):
+            return
+        # The axis joins the middles of the short sides.
+        upright = a < b
+        first = np.where(upright[:, None], corners[:, :2].mean(1), corners[:, [0, 3]].mean(1))
+        last = np.where(upright[:, None], corners[:, 2:].mean(1), corners[:, 1:3].mean(1))
+        axes = np.column_stack([first, last, np.minimum(a, b)])
+        self._thin.append(axes[slender])
 
     def build(self) -> Mesh:
         """Everything added so far as one mesh."""
         if not self._vertices:
-            return Mesh(
-                np.zeros((0, 3, 3), np.float32),
-                np.zeros(0, np.int32),
-                np.zeros(0, np.int32),
-                np.zeros((0, 3), np.float32),
-                np.zeros((0, 3, 3), np.float32),
-            )
-        vertices = np.concatenate(self._vertices).astype(np.float32)
+            self.triangles(np.zeros((0, 3, 3)), 0)
         return Mesh(
-            vertices,
+            np.concatenate(self._vertices).astype(np.float32),
             np.concatenate(self._material).astype(np.int32),
             np.concatenate(self._surface).astype(np.int32),
             np.concatenate(self._offset).astype(np.float32),
-            vertices,
+            np.concatenate([np.zeros((0, 7)), *self._thin]).astype(np.float32),
         )
 
 

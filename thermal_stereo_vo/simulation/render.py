@@ -1,57 +1,63 @@
-"""Ray casting: what a perfect camera at a known pose would receive.
-
-Embree finds what each ray hits; a pixel whose neighbourhood shows more than one surface is cast
-again with 2x2 rays, the others need one because their texture is already limited to the pixel.
-"""
+"""What a perfect camera at a known pose would receive."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
-import cv2
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import Camera
+from thermal_stereo_vo.core.errors import SimulationError
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.simulation import sampling
+from thermal_stereo_vo.simulation.materials import Material
 from thermal_stereo_vo.simulation.mesh import Mesh
+from thermal_stereo_vo.simulation.ray_casting import RayCaster
+from thermal_stereo_vo.simulation.sampling import Facets, Hits, Rays, Samples
 from thermal_stereo_vo.simulation.scene import Scene
-from thermal_stereo_vo.simulation.shading import Hits, Surfaces
+from thermal_stereo_vo.simulation.shading import Band, Light
 
-Floats = NDArray[np.float32]
-SKY = -1
+Poses = Callable[[float], NDArray[np.float64]]
+"""Time (s) -> (4, 4) T_map_camera."""
 
-
-class Band(Protocol):
-    """How points and sky look in one spectral band."""
-
-    def surfaces(self, hits: Hits, surfaces: Surfaces) -> Floats:
-        """(N,) radiance of the points hit."""
-
-    def sky(self, directions: Floats) -> Floats:
-        """(N,) radiance of the sky."""
+_SLENDER_LIMITS_PX = (0.2, 1.2, 2.6)
 
 
 class Lens:
-    """Rays of a camera: (H, W, 3) float32 with z = 1 in camera axes, so that depth is along z.
+    """The rays of a camera, through its distortion.
 
-    ``sub`` (4, H, W, 3) are the 2x2 rays of each pixel.
+    ``grid`` (points, 2) and ``centres`` (H, W, 2) float32: x and y on the plane z = 1, see
+    ``sampling``.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
     """
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self.centre = self._rays(0.0, 0.0)
-        offsets = [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)]
-        self.sub = np.stack([self._rays(dx, dy) for dx, dy in offsets])
-        self.pixel_rad = 1.0 / np.sqrt(camera.fx * camera.fy)
-
-    def _rays(self, dx: float, dy: float) -> Floats:
-        x, y = np.meshgrid(np.arange(self.camera.width), np.arange(self.camera.height))
-        pixels = np.column_stack([x.ravel() + dx, y.ravel() + dy]).astype(np.float64)
-        rays = self.camera.unproject(pixels)
-        return rays.reshape(self.camera.height, self.camera.width, 3).astype(np.float32)
+        width, height = camera.size
+        if width % 2 or height % 2:
+            raise SimulationError(
+                f"images of {width}x{height} pixels cannot be rendered: both must be even; choose "
+                "another scale"
+            )
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
+        corner_x, corner_y = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
+        mirror = np.where((x + y) % 2, -1.0, 1.0)
+        parts = [(corner_x, corner_y)]
+        parts += [(x + dx * mirror, y + dy) for dx, dy in sampling.INNER_PX]
+        points = np.concatenate([np.column_stack([a.ravel(), b.ravel()]) for a, b in parts])
+        self.grid = np.ascontiguousarray(camera.unproject(points)[:, :2], dtype=np.float32)
+        centres = camera.unproject(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
+        self.centres = np.ascontiguousarray(
+            centres[:, :2].reshape(height, width, 2), dtype=np.float32
+        )
+        self.pixel_rad = float(1.0 / np.sqrt(camera.fx * camera.fy))
+        corners = self.grid[: (width + 1) * (height + 1)].astype(np.float64)
+        corners = corners.reshape(height + 1, width + 1, 2)
+        along_x = (corners[:-1, 1:] + corners[1:, 1:] - corners[:-1, :-1] - corners[1:, :-1]) / 2
+        along_y = (corners[1:, :-1] + corners[1:, 1:] - corners[:-1, :-1] - corners[:-1, 1:]) / 2
+        jacobian = np.stack([along_x, along_y], axis=-1)
+        self.pixels_per_plane = np.linalg.inv(jacobian).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -59,106 +65,223 @@ class Rendering:
     """Noise-free image of one camera.
 
     ``radiance`` (H, W) float32 in the unit of the band; ``depth_m`` (H, W) float32 along the
-    optical axis at the pixel centre, inf for sky; ``moving`` (H, W) bool, True on moving objects.
+    optical axis at the pixel centre, inf for sky; ``owner`` (H, W) int32, -1 on what stands still,
+    else the index of the mover.
     """
 
-    radiance: Floats
-    depth_m: Floats
-    moving: NDArray[np.bool_]
-
-
-class _Solid:
-    """A mesh with its ray-casting tree."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self.surfaces = Surfaces.of(mesh)
-        self.surface_of = mesh.surface
-        self._tree = EmbreeScene()
-        TriangleMesh(self._tree, np.ascontiguousarray(mesh.vertices, dtype=np.float32))
-
-    def cast(self, origin: Floats, directions: Floats, pixel_rad: float) -> Hits:
-        """First hits; triangle is SKY and depth huge where there is none."""
-        origins = np.ascontiguousarray(np.broadcast_to(origin, directions.shape), dtype=np.float32)
-        found = self._tree.run(origins, directions, output=True)
-        return Hits(found["primID"], found["u"], found["v"], found["tfar"], directions, pixel_rad)
+    radiance: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    owner: NDArray[np.int32]
 
 
 class Renderer:
-    """Renders one scene in one band.  Not shared between threads or processes."""
+    """Renders one scene.  Keeps scratch memory: one thread at a time."""
 
-    def __init__(self, scene: Scene, band: Band) -> None:
+    def __init__(self, scene: Scene, light: Light) -> None:
         self._scene = scene
-        self._band = band
-        self._static = _Solid(scene.static)
-
-    def render(self, lens: Lens, T_map_camera: NDArray[np.float64], time_s: float) -> Rendering:
-        """What the camera sees from ``T_map_camera`` (4, 4) at this time."""
-        height, width = lens.centre.shape[:2]
-        moving = self._scene.moving(time_s)
-        solids = [self._static] if moving is None else [self._static, _Solid(moving)]
-        radiance, depth, surface = self._cast(
-            solids, lens.centre.reshape(-1, 3), T_map_camera, lens.pixel_rad
+        self._light = light
+        self._static = RayCaster(scene.static.vertices)
+        meshes = [scene.static, *(mover.mesh for mover in scene.movers)]
+        shifts = np.cumsum([0, *(mesh.surfaces for mesh in meshes)])
+        count = len(scene.static)
+        mover = [np.full(len(m.mesh), n, np.int32) for n, m in enumerate(scene.movers)]
+        self._facets = Facets(
+            np.concatenate([_normals(mesh.vertices) for mesh in meshes]),
+            np.concatenate([mesh.material for mesh in meshes]),
+            np.concatenate(
+                [mesh.surface + shift for mesh, shift in zip(meshes, shifts, strict=False)]
+            ).astype(np.int32),
+            np.ascontiguousarray(np.concatenate([mesh.offset_kelvin for mesh in meshes])),
+            count,
+            np.concatenate([np.zeros(0, np.int32), *mover]),
+            np.tile(np.eye(4), (max(1, len(scene.movers)), 1, 1)),
         )
-        surface = surface.reshape(height, width)
-        radiance = radiance.reshape(height, width)
-        edge = _edges(surface)
-        rays = lens.sub[:, edge].reshape(-1, 3)
-        samples, _, _ = self._cast(solids, rays, T_map_camera, 0.5 * lens.pixel_rad)
-        radiance[edge] = samples.reshape(4, -1).mean(axis=0)
-        return Rendering(
-            radiance, depth.reshape(height, width), surface >= self._first_moving_surface()
-        )
+        self._rest_normals = self._facets.normals[count:].copy()
+        self._hits: dict[int, Hits] = {}
+        self._samples: dict[int, Samples] = {}
+        self._spheres = [_bounding_sphere(m.mesh) for m in scene.movers]
 
-    def _first_moving_surface(self) -> int:
-        return int(self._static.surface_of.max(initial=0)) + 1
+    def render(
+        self, lens: Lens, band: Band, poses: Poses, time_s: float, *, row_time_s: float = 0.0
+    ) -> Rendering:
+        """What the camera sees at a time; the rows are read ``row_time_s`` after each other."""
+        height, width = lens.centres.shape[:2]
+        T_map_camera = poses(time_s)
+        rays = _rays(lens, poses, time_s, row_time_s)
+        movers, moving = self._place_movers(time_s)
+        box = self._moving_box(lens.camera, T_map_camera, movers)
+        thin = self._slender(lens.camera, T_map_camera)
+        if box is not None:
+            x0, y0, x1, y1 = box
+            thin[y0 // 2 : y1 // 2 + 1, x0 // 2 : x1 // 2 + 1] |= sampling.CORNERS
+        hits = self._scratch(len(lens.grid))
+        hits.triangle.fill(sampling.NOT_CAST)
+        level = np.empty((height, width), np.uint8)
+
+        across = width + 1
+        rows, columns = np.arange(0, height + 1, 2), np.arange(0, across, 2)
+        points = (rows[:, None] * across + columns).ravel().astype(np.int32)
+        self._cast(hits, rays, points, moving, box)
+        sampling.refine_blocks(hits, level, thin)
+        points = np.empty(len(lens.grid), np.int32)
+        count = sampling.corner_points(hits, level, points)
+        self._cast(hits, rays, points[:count], moving, box)
+        sampling.refine_pixels(hits, level)
+        count = sampling.inner_points(level, points)
+        self._cast(hits, rays, points[:count], moving, box)
+
+        radiance = np.zeros((height, width), np.float32)
+        depth = np.empty((height, width), np.float32)
+        owner = np.empty((height, width), np.int32)
+        samples = self._sample_scratch(height * width)
+        count = sampling.gather_samples(hits, rays, self._facets, level, samples, depth, owner)
+        sampling.shade_samples(
+            samples,
+            count,
+            rays,
+            self._facets,
+            band,
+            self._light,
+            self._heating(time_s),
+            lens.pixel_rad,
+            radiance,
+        )
+        return Rendering(radiance, depth, owner)
+
+    def T_map_movers(self, time_s: float) -> NDArray[np.float64]:
+        """(M, 4, 4) poses of the movers."""
+        poses = [mover.T_map_object(time_s) for mover in self._scene.movers]
+        return np.array(poses).reshape(-1, 4, 4)
+
+    def _heating(self, time_s: float) -> NDArray[np.float64]:
+        kelvin = np.zeros(len(Material))
+        for heating in self._scene.heating:
+            kelvin[heating.material] += heating.kelvin(time_s)
+        return kelvin
+
+    def _scratch(self, points: int) -> Hits:
+        if points not in self._hits:
+            self._hits[points] = Hits(
+                np.empty(points, np.int32),
+                np.empty(points, np.int32),
+                np.empty(points, np.float32),
+                np.empty(points, np.float32),
+            )
+        return self._hits[points]
+
+    def _sample_scratch(self, pixels: int) -> Samples:
+        n = 6 * pixels  # room for the worst case; untouched memory costs nothing
+        if pixels not in self._samples:
+            self._samples[pixels] = Samples(
+                np.empty(n, np.int32),
+                np.empty(n, np.int32),
+                np.empty((n, 2), np.float32),
+                np.empty(n, np.float32),
+                np.empty(n, np.float32),
+                np.empty(n, np.float32),
+            )
+        return self._samples[pixels]
+
+    def _place_movers(self, time_s: float) -> tuple[NDArray[np.float64], RayCaster | None]:
+        poses = self.T_map_movers(time_s)
+        if len(poses) == 0:
+            return poses, None
+        rotation = poses[self._facets.mover, :3, :3]
+        self._facets.normals[self._facets.first_moving :] = np.einsum(
+            "nij,nj->ni", rotation, self._rest_normals
+        )
+        vertices = [
+            mover.mesh.vertices @ T[:3, :3].T + T[:3, 3]
+            for mover, T in zip(self._scene.movers, poses, strict=True)
+        ]
+        self._facets.T_object_map[:] = [inverse(T) for T in poses]
+        return poses, RayCaster(np.concatenate(vertices).astype(np.float32))
 
     def _cast(
         self,
-        solids: list[_Solid],
-        rays: Floats,
-        T_map_camera: NDArray[np.float64],
-        pixel_rad: float,
-    ) -> tuple[Floats, Floats, NDArray[np.int32]]:
-        directions = rays @ T_map_camera[:3, :3].T.astype(np.float32)
-        origin = T_map_camera[:3, 3].astype(np.float32)
-        radiance = np.empty(len(rays), np.float32)
-        depth = np.full(len(rays), np.inf, np.float32)
-        surface = np.full(len(rays), SKY, np.int32)
-        owner = np.full(len(rays), SKY, np.int8)
-        casts = []
-        for number, solid in enumerate(solids):
-            hits = solid.cast(origin, directions, pixel_rad)
-            casts.append(hits)
-            nearer = (hits.triangle >= 0) & (hits.depth < depth)
-            depth[nearer] = hits.depth[nearer]
-            owner[nearer] = number
-            shift = 0 if number == 0 else self._first_moving_surface()
-            surface[nearer] = solid.surface_of[hits.triangle[nearer]] + shift
-        for number, (solid, hits) in enumerate(zip(solids, casts, strict=True)):
-            mine = np.flatnonzero(owner == number)
-            if len(mine):
-                part = Hits(
-                    hits.triangle[mine],
-                    hits.u[mine],
-                    hits.v[mine],
-                    hits.depth[mine],
-                    directions[mine],
-                    pixel_rad,
-                )
-                radiance[mine] = self._band.surfaces(part, solid.surfaces)
-        sky = np.flatnonzero(owner == SKY)
-        if len(sky):
-            radiance[sky] = self._band.sky(directions[sky])
-        return radiance, depth, surface
+        hits: Hits,
+        rays: Rays,
+        points: NDArray[np.int32],
+        moving: RayCaster | None,
+        box: tuple[int, int, int, int] | None,
+    ) -> None:
+        origins = np.empty((len(points), 3), np.float32)
+        directions = np.empty((len(points), 3), np.float32)
+        sampling.build_rays(rays, points, origins, directions)
+        met = self._static.cast(origins, directions)
+        sampling.store_hits(
+            hits, self._facets, points, met.triangle, 0, met.u, met.v, met.distance, False
+        )
+        if moving is None or box is None:
+            return
+        inside = sampling.points_in_box(points, *rays.centres.shape[:2], *box)
+        if np.any(inside):
+            met = moving.cast(origins[inside], directions[inside])
+            first = self._facets.first_moving
+            sampling.store_hits(
+                hits, self._facets, points[inside], met.triangle, first, met.u, met.v,
+                met.distance, True,
+            )  # fmt: skip
+
+    def _moving_box(
+        self, camera: Camera, T_map_camera: NDArray[np.float64], movers: NDArray[np.float64]
+    ) -> tuple[int, int, int, int] | None:
+        """Pixels x0, y0, x1, y1 that hold every mover in view, or None."""
+        boxes = []
+        T_camera_map = inverse(T_map_camera)
+        for T, (centre, radius) in zip(movers, self._spheres, strict=True):
+            p = T_camera_map[:3, :3] @ (T[:3, :3] @ centre + T[:3, 3]) + T_camera_map[:3, 3]
+            if p[2] < -radius or np.linalg.norm(p) > 250.0:
+                continue
+            if p[2] < 1.5 * radius:
+                return 0, 0, camera.width - 1, camera.height - 1
+            # Barrel distortion only draws points towards the middle, so the pinhole is an outer
+            # bound of the far side; a margin covers the near one.
+            reach = 1.3 * camera.fx * radius / (p[2] - radius) + 8.0
+            x, y = camera.project(np.clip(p[None] / p[2], -1.5, 1.5))[0]
+            boxes.append((x - reach, y - reach, x + reach, y + reach))
+        if not boxes:
+            return None
+        low = np.floor(np.min(boxes, axis=0)[:2]).astype(int)
+        high = np.ceil(np.max(boxes, axis=0)[2:]).astype(int)
+        x0, y0 = max(0, int(low[0])), max(0, int(low[1]))
+        x1, y1 = min(camera.width - 1, int(high[0])), min(camera.height - 1, int(high[1]))
+        return (x0, y0, x1, y1) if x0 <= x1 and y0 <= y1 else None
+
+    def _slender(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """(H / 2, W / 2): levels that slender parts ask for."""
+        mask = np.zeros((camera.height // 2, camera.width // 2), np.uint8)
+        k1, k2, p1, p2, k3 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+        lens = sampling.LensModel(camera.fx, camera.fy, camera.cx, camera.cy, k1, k2, p1, p2, k3)
+        sampling.mark_slender(
+            self._scene.static.thin, inverse(T_map_camera), lens, _SLENDER_LIMITS_PX, mask
+        )
+        return mask
 
 
-def _edges(surface: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(H, W) True where one of the eight neighbours shows another surface."""
-    edge = np.zeros(surface.shape, bool)
-    right = surface[:, 1:] != surface[:, :-1]
-    down = surface[1:] != surface[:-1]
-    edge[:, 1:] |= right
-    edge[:, :-1] |= right
-    edge[1:] |= down
-    edge[:-1] |= down
-    return edge
+def _rays(lens: Lens, poses: Poses, time_s: float, row_time_s: float) -> Rays:
+    rows = 2 * lens.centres.shape[0] + 1
+    if row_time_s == 0.0:
+        T = poses(time_s)
+        rotations = np.ascontiguousarray(np.broadcast_to(T[:3, :3], (rows, 3, 3)))
+        origins = np.ascontiguousarray(np.broadcast_to(T[:3, 3], (rows, 3)))
+        return Rays(lens.grid, lens.centres, rotations, origins)
+    each = np.array([poses(time_s + row_time_s * (i - 1) / 2) for i in range(rows)])
+    return Rays(
+        lens.grid,
+        lens.centres,
+        np.ascontiguousarray(each[:, :3, :3]),
+        np.ascontiguousarray(each[:, :3, 3]),
+    )
+
+
+def _normals(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.ascontiguousarray(normals, dtype=np.float32)
+
+
+def _bounding_sphere(mesh: Mesh) -> tuple[NDArray[np.float64], float]:
+    points = mesh.vertices.reshape(-1, 3).astype(np.float64)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())

@@ -1,18 +1,25 @@
-"""Radiance of the points that rays hit: textures, temperatures, reflections, air.
+"""Radiance of a point that a ray hit: texture, temperature, reflection, air; and of the sky.
 
-Kernels in numba; every octave finer than the pixel is faded out, so that nothing aliases.
+Kernels in numba, called for one point each.  Every octave finer than the pixel is faded out, so
+that nothing aliases into noise that moves with the camera.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.simulation.mesh import Mesh
-from thermal_stereo_vo.simulation.noise import LATTICE, ROTATION, SHIFT, value_noise
+from thermal_stereo_vo.simulation.noise import (
+    LATTICE,
+    NOISE_SIGMA,
+    NOISE_SLOPE,
+    OCTAVE_COS,
+    OCTAVE_SIN,
+    value_noise,
+)
 from thermal_stereo_vo.simulation.thermal_field import (
     PLANCK_B_KELVIN,
     PLANCK_F,
@@ -23,216 +30,126 @@ from thermal_stereo_vo.simulation.thermal_field import (
 )
 from thermal_stereo_vo.simulation.weather import Weather
 
-Floats = NDArray[np.float32]
+# Plain numbers: older numba does not index with an enumeration.
+_EMISSIVITY, _BASE, _SUN = int(Column.EMISSIVITY), int(Column.BASE), int(Column.SUN)
+_DAYLIGHT, _SKY, _OFFSET = int(Column.DAYLIGHT), int(Column.SKY), int(Column.OFFSET)
+_MIRROR, _AMPLITUDE, _SPACING = int(Column.MIRROR), int(Column.AMPLITUDE), int(Column.SPACING)
+_OCTAVES, _PERSISTENCE = int(Column.OCTAVES), int(Column.PERSISTENCE)
+_CRACKS, _PATCHES = int(Column.CRACKS), int(Column.PATCHES)
+_CELL_ALONG, _CELL_UP = int(Column.CELL_ALONG), int(Column.CELL_UP)
+_CELLS, _JOINTS = int(Column.CELLS), int(Column.JOINTS)
 
-_EMISSIVITY, _BASE, _SUN, _SKY = Column.EMISSIVITY, Column.BASE, Column.SUN, Column.SKY
-_OFFSET, _MIRROR, _AMPLITUDE = Column.OFFSET, Column.MIRROR, Column.AMPLITUDE
-_SPACING, _OCTAVES, _PERSISTENCE = Column.SPACING, Column.OCTAVES, Column.PERSISTENCE
-_CRACKS, _PATCHES, _CELLS, _JOINTS = Column.CRACKS, Column.PATCHES, Column.CELLS, Column.JOINTS
-_CELL_ALONG, _CELL_UP = Column.CELL_ALONG, Column.CELL_UP
-
-# Value noise of a lattice uniform in -1..1 has this standard deviation (measured on 1e6 points).
-_NOISE_SIGMA = 0.33
-# Mean slope of that noise where it crosses zero, per lattice cell.
-_NOISE_SLOPE = 1.1
 _LINE_HALF_WIDTH_M = 0.015
-_CELLS_IN_LATTICE = LATTICE**3
+_CELLS_IN_LATTICE = LATTICE**2
+_SHADOW_BIAS_M = 0.12
 
 
-@dataclass(frozen=True)
-class Surfaces:
-    """A mesh in the form the kernels read: contiguous arrays, with unit normals (N, 3)."""
+class Band(NamedTuple):
+    """How materials and sky look in one spectral band, as the kernels take it.
 
-    rest: Floats
-    normals: Floats
-    material: NDArray[np.int32]
-    offset_kelvin: Floats
-    turned: bool
-    """True when the mesh was moved, so that rest axes are not map axes."""
-
-    @classmethod
-    def of(cls, mesh: Mesh) -> Surfaces:
-        edge_1 = mesh.vertices[:, 1] - mesh.vertices[:, 0]
-        edge_2 = mesh.vertices[:, 2] - mesh.vertices[:, 0]
-        normals = np.cross(edge_1, edge_2)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        return cls(
-            np.ascontiguousarray(mesh.rest),
-            np.ascontiguousarray(normals, dtype=np.float32),
-            mesh.material,
-            np.ascontiguousarray(mesh.offset_kelvin),
-            mesh.rest is not mesh.vertices,
-        )
-
-
-@dataclass(frozen=True)
-class Hits:
-    """Where N rays ended: triangle, barycentric u and v, depth along the ray (in ray lengths).
-
-    ``directions`` (N, 3) float32 in map axes, of any length.  ``pixel_rad`` is the angle between
-    neighbouring rays.
+    ``table`` (materials, columns); ``lattice`` the noise; ``thermal`` chooses between radiance in
+    counts and reflected light; the rest is weather.
     """
 
-    triangle: NDArray[np.int32]
-    u: Floats
-    v: Floats
-    depth: Floats
-    directions: Floats
-    pixel_rad: float
+    thermal: bool
+    table: NDArray[np.float64]
+    lattice: NDArray[np.float32]
+    planck_r: float
+    air_kelvin: float
+    sky_emissivity: float
+    cloud_variation: float
+    extinction_per_m: float
+    illumination: float
+    sunshine: float
+    sun: NDArray[np.float64]
 
 
-class ThermalBand:
+class Light(NamedTuple):
+    """What the sun and the sky reach, as maps over the ground.
+
+    ``shadow`` (rows, columns, 2) float32: mean and mean square of the height (m) of what the sun
+    meets first, for sun rays through the point (x, y, 0) of the grid.  ``openness`` (rows, columns,
+    2) float32: part of the sky seen from the ground, and the height of the ground.  Grids start at
+    ``origin`` (2,) m, rows along y.
+    """
+
+    shadow: NDArray[np.float32]
+    shadow_cell_m: float
+    openness: NDArray[np.float32]
+    openness_cell_m: float
+    origin: NDArray[np.float64]
+
+
+def open_field() -> Light:
+    """Light where nothing casts a shadow."""
+    shadow = np.empty((1, 1, 2), np.float32)
+    shadow[..., 0], shadow[..., 1] = -1e3, 1e6
+    openness = np.ones((1, 1, 2), np.float32)
+    return Light(shadow, 1.0, openness, 1.0, np.zeros(2))
+
+
+def thermal_band(
+    weather: Weather, responsivity: Responsivity, lattice: NDArray[np.float32]
+) -> Band:
     """8-14 um: radiance in counts of an ideal sensor without offset."""
-
-    def __init__(
-        self, weather: Weather, responsivity: Responsivity, lattice: NDArray[np.float32]
-    ) -> None:
-        self._table = thermal_table(weather)
-        self._lattice = lattice
-        self._planck_r = responsivity.planck_r
-        self._weather = weather
-
-    def surfaces(self, hits: Hits, surfaces: Surfaces) -> Floats:
-        """(N,) radiance of the points hit."""
-        out = np.empty(len(hits.triangle), np.float32)
-        weather = self._weather
-        _shade_thermal(
-            hits.triangle,
-            hits.u,
-            hits.v,
-            hits.depth,
-            hits.directions,
-            hits.pixel_rad,
-            surfaces.rest,
-            surfaces.normals,
-            surfaces.material,
-            surfaces.offset_kelvin,
-            surfaces.turned,
-            self._table,
-            self._lattice,
-            self._planck_r,
-            weather.air_kelvin,
-            weather.sky_emissivity,
-            weather.cloud_variation,
-            weather.extinction_per_m,
-            _sun_direction(weather),
-            out,
-        )
-        return out
-
-    def sky(self, directions: Floats) -> Floats:
-        """(N,) radiance of the sky in these directions."""
-        out = np.empty(len(directions), np.float32)
-        weather = self._weather
-        _shade_sky(
-            directions,
-            self._lattice,
-            self._planck_r,
-            weather.air_kelvin,
-            weather.sky_emissivity,
-            weather.cloud_variation,
-            out,
-        )
-        return out
-
-
-class VisibleBand:
-    """0.4-0.7 um: reflected light, 1 for a white surface in full daylight."""
-
-    def __init__(self, weather: Weather, lattice: NDArray[np.float32]) -> None:
-        self._table = visible_table()
-        self._lattice = lattice
-        self._weather = weather
-
-    def surfaces(self, hits: Hits, surfaces: Surfaces) -> Floats:
-        """(N,) light from the points hit."""
-        out = np.empty(len(hits.triangle), np.float32)
-        _shade_visible(
-            hits.triangle,
-            hits.u,
-            hits.v,
-            hits.depth,
-            hits.directions,
-            hits.pixel_rad,
-            surfaces.rest,
-            surfaces.normals,
-            surfaces.material,
-            surfaces.turned,
-            self._table,
-            self._lattice,
-            self._weather.illumination,
-            self._weather.sun,
-            _sun_direction(self._weather),
-            out,
-        )
-        return out
-
-    def sky(self, directions: Floats) -> Floats:
-        """(N,) light of the sky in these directions."""
-        z = directions[:, 2] / np.linalg.norm(directions, axis=1)
-        glow = 0.55 + 0.35 * (1.0 - np.clip(z, 0.0, 1.0))
-        return np.asarray(glow * self._weather.illumination, dtype=np.float32)
-
-
-def _sun_direction(weather: Weather) -> NDArray[np.float64]:
-    elevation = np.radians(weather.sun_elevation_deg)
-    azimuth = np.radians(weather.sun_azimuth_deg)
-    return np.array(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.cos(elevation) * np.cos(azimuth),
-            np.sin(elevation),
-        ]
+    return Band(
+        True,
+        thermal_table(weather),
+        lattice,
+        responsivity.planck_r,
+        weather.air_kelvin,
+        weather.sky_emissivity,
+        weather.cloud_variation,
+        weather.extinction_per_m,
+        weather.illumination,
+        weather.sun,
+        weather.sun_direction,
     )
 
 
-_R = ROTATION
-_C = SHIFT
+def visible_band(weather: Weather, lattice: NDArray[np.float32]) -> Band:
+    """0.4-0.7 um: reflected light, 1 for a white surface in full daylight."""
+    return thermal_band(weather, Responsivity(), lattice)._replace(
+        thermal=False, table=visible_table()
+    )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def texture(
     lattice: NDArray[np.float32],
     row: NDArray[np.float64],
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    ax: float,
-    ay: float,
-    az: float,
+    a: float,
+    b: float,
+    way_a: float,
+    way_b: float,
     across_m: float,
     along_m: float,
 ) -> float:
-    """Variation of a material at a point, in the unit of its amplitudes.
+    """Variation of a material at a point of a surface, in the unit of its amplitudes.
 
-    (x, y, z) and normal (nx, ny, nz) in rest axes (m); (ax, ay, az) is the unit direction in which
-    the pixel is stretched over the surface: ``along_m`` that way, ``across_m`` the other.
+    (a, b) are metres along the surface.  The pixel covers ``along_m`` in the unit direction
+    (way_a, way_b) and ``across_m`` in the other.  ``row`` is that of the material table.
     """
     value = 0.0
     spacing = row[_SPACING]
-    amplitude = row[_AMPLITUDE] / _NOISE_SIGMA
-    px = x / spacing
-    py = y / spacing
-    pz = z / spacing
+    pa = a / spacing
+    pb = b / spacing
     if row[_CRACKS] != 0.0:
-        n = value_noise(lattice, px + 7.7, py + 3.1, pz + 40.9)
+        n = value_noise(lattice, pa + 7.7, pb + 40.9)
         width = max(_LINE_HALF_WIDTH_M, across_m)
-        distance = abs(n) * spacing / _NOISE_SLOPE
+        distance = abs(n) * spacing / NOISE_SLOPE
         if distance < width:
             value += row[_CRACKS] * _LINE_HALF_WIDTH_M / width * (1.0 - distance / width)
     if row[_PATCHES] != 0.0:
-        n = value_noise(lattice, 0.4 * px + 29.3, 0.4 * py + 11.9, 0.4 * pz + 2.2)
-        step = 0.5 + n * 2.5 * spacing / _NOISE_SLOPE / max(2.0 * _LINE_HALF_WIDTH_M, across_m)
+        n = value_noise(lattice, 0.4 * pa + 29.3, 0.4 * pb + 11.9)
+        step = 0.5 + n * 2.5 * spacing / NOISE_SLOPE / max(2.0 * _LINE_HALF_WIDTH_M, across_m)
         value += row[_PATCHES] * (min(max(step, 0.0), 1.0) - 0.5)
     if row[_CELL_ALONG] > 0.0:
-        value += _tiles(lattice, row, x, y, z, nx, ny, nz, across_m)
+        value += _tiles(lattice, row, a, b, across_m)
 
-    dx = ax * along_m / spacing
-    dy = ay * along_m / spacing
-    dz = az * along_m / spacing
+    amplitude = row[_AMPLITUDE] / NOISE_SIGMA
+    da = way_a * along_m / spacing
+    db = way_b * along_m / spacing
     for _ in range(int(row[_OCTAVES])):
         samples = 1
         if along_m > 0.5 * spacing:
@@ -242,42 +159,33 @@ def texture(
         if weight <= 0.0:
             break
         weight = weight * weight * (3.0 - 2.0 * weight)
-        total = 0.0
-        for i in range(samples):
-            f = (i + 0.5) / samples - 0.5
-            total += value_noise(lattice, px + f * dx, py + f * dy, pz + f * dz)
-        value += weight * amplitude * total / samples
+        if samples == 1:
+            total = value_noise(lattice, pa, pb)
+        else:
+            total = 0.0
+            for i in range(samples):
+                f = (i + 0.5) / samples - 0.5
+                total += value_noise(lattice, pa + f * da, pb + f * db)
+            total /= samples
+        value += weight * amplitude * total
         amplitude *= row[_PERSISTENCE]
         spacing *= 0.5
-        qx = 2.0 * (_R[0, 0] * px + _R[0, 1] * py + _R[0, 2] * pz) + _C[0]
-        qy = 2.0 * (_R[1, 0] * px + _R[1, 1] * py + _R[1, 2] * pz) + _C[1]
-        qz = 2.0 * (_R[2, 0] * px + _R[2, 1] * py + _R[2, 2] * pz) + _C[2]
-        px, py, pz = qx, qy, qz
-        qx = 2.0 * (_R[0, 0] * dx + _R[0, 1] * dy + _R[0, 2] * dz)
-        qy = 2.0 * (_R[1, 0] * dx + _R[1, 1] * dy + _R[1, 2] * dz)
-        qz = 2.0 * (_R[2, 0] * dx + _R[2, 1] * dy + _R[2, 2] * dz)
-        dx, dy, dz = qx, qy, qz
+        pa, pb = (
+            2.0 * (OCTAVE_COS * pa - OCTAVE_SIN * pb) + 17.31,
+            2.0 * (OCTAVE_SIN * pa + OCTAVE_COS * pb) + 5.77,
+        )
+        da, db = (
+            2.0 * (OCTAVE_COS * da - OCTAVE_SIN * db),
+            2.0 * (OCTAVE_SIN * da + OCTAVE_COS * db),
+        )
     return value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _tiles(
-    lattice: NDArray[np.float32],
-    row: NDArray[np.float64],
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    footprint_m: float,
+    lattice: NDArray[np.float32], row: NDArray[np.float64], a: float, b: float, footprint_m: float
 ) -> float:
-    if abs(nz) > 0.9:
-        a, b = x, y
-    else:
-        level = np.sqrt(nx * nx + ny * ny)
-        a = (-ny * x + nx * y) / level
-        b = z / level
+    """Tiles that differ from each other, and the joints between them."""
     along = row[_CELL_ALONG]
     up = row[_CELL_UP]
     ib = 0.0
@@ -302,208 +210,175 @@ def _tiles(
     return value
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _planck(planck_r: float, kelvin: float) -> float:
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def planck(planck_r: float, kelvin: float) -> float:
+    """Counts of a black body."""
     return planck_r / (np.exp(PLANCK_B_KELVIN / kelvin) - PLANCK_F)
 
 
-@njit(cache=True, nogil=True)
-def _sky_radiance(
-    lattice: NDArray[np.float32],
-    planck_r: float,
-    air_kelvin: float,
-    zenith_emissivity: float,
-    cloud_variation: float,
-    dx: float,
-    dy: float,
-    dz: float,
-) -> float:
-    # Plane-parallel air: the path, and so its optical depth, grows as 1 / sin(elevation).
+@njit(cache=True, nogil=True, error_model="numpy")
+def sky_radiance(band: Band, dx: float, dy: float, dz: float, clouds: bool) -> float:
+    """Radiance of the sky in a unit direction, in the unit of the band."""
     sine = max(dz, 0.03)
-    emissivity = 1.0 - (1.0 - min(zenith_emissivity, 0.999)) ** (1.0 / sine)
-    if cloud_variation > 0.0:
+    if not band.thermal:
+        return band.illumination * (0.9 - 0.35 * min(sine, 1.0))
+    # Plane-parallel air: the path, and so its optical depth, grows as 1 / sin(elevation).
+    emissivity = 1.0 - (1.0 - min(band.sky_emissivity, 0.999)) ** (1.0 / sine)
+    if clouds and band.cloud_variation > 0.0:
         x = 2.5 * dx / (sine + 0.1)
         y = 2.5 * dy / (sine + 0.1)
         n = 0.0
         amplitude = 1.0
         for _ in range(4):
-            n += amplitude * value_noise(lattice, x, y, 3.3)
+            n += amplitude * value_noise(band.lattice, x, y)
             x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
             amplitude *= 0.55
-        emissivity += cloud_variation * n * (1.0 - emissivity) ** 0.5
-    emissivity = min(max(emissivity, 0.05), 1.0)
-    return emissivity * _planck(planck_r, air_kelvin)
+        emissivity += band.cloud_variation * n * (1.0 - emissivity) ** 0.5
+    return min(max(emissivity, 0.05), 1.0) * planck(band.planck_r, band.air_kelvin)
 
 
-@njit(cache=True, nogil=True)
-def _shade_sky(
-    directions: Floats,
-    lattice: NDArray[np.float32],
-    planck_r: float,
-    air_kelvin: float,
-    zenith_emissivity: float,
-    cloud_variation: float,
-    out: Floats,
-) -> None:
-    for i in range(len(directions)):
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        out[i] = _sky_radiance(
-            lattice,
-            planck_r,
-            air_kelvin,
-            zenith_emissivity,
-            cloud_variation,
-            dx / length,
-            dy / length,
-            dz / length,
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sunlit(light: Light, sun: NDArray[np.float64], x: float, y: float, z: float) -> float:
+    """Part of the sun seen from a point, 0..1: variance shadow map (Donnelly & Lauritzen 2006)."""
+    rows, columns = light.shadow.shape[:2]
+    if rows < 2 or sun[2] <= 0.0:
+        return 1.0
+    gx = (x - z * sun[0] / sun[2] - light.origin[0]) / light.shadow_cell_m
+    gy = (y - z * sun[1] / sun[2] - light.origin[1]) / light.shadow_cell_m
+    if gx < 0.0 or gy < 0.0 or gx >= columns - 1 or gy >= rows - 1:
+        return 1.0
+    j, i = int(gx), int(gy)
+    u, v = gx - j, gy - i
+    s = light.shadow
+    mean = (1 - v) * ((1 - u) * s[i, j, 0] + u * s[i, j + 1, 0]) + v * (
+        (1 - u) * s[i + 1, j, 0] + u * s[i + 1, j + 1, 0]
+    )
+    below = mean - _SHADOW_BIAS_M - z
+    if below <= 0.0:
+        return 1.0
+    square = (1 - v) * ((1 - u) * s[i, j, 1] + u * s[i, j + 1, 1]) + v * (
+        (1 - u) * s[i + 1, j, 1] + u * s[i + 1, j + 1, 1]
+    )
+    variance = max(square - mean * mean, 1e-3)
+    return variance / (variance + below * below)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _open_sky(light: Light, x: float, y: float, z: float) -> float:
+    """Part of the sky seen by a level surface at a point, 0..1; full 6 m above the ground."""
+    rows, columns = light.openness.shape[:2]
+    if rows < 2:
+        return 1.0
+    gx = (x - light.origin[0]) / light.openness_cell_m
+    gy = (y - light.origin[1]) / light.openness_cell_m
+    if gx < 0.0 or gy < 0.0 or gx >= columns - 1 or gy >= rows - 1:
+        return 1.0
+    j, i = int(gx), int(gy)
+    u, v = gx - j, gy - i
+    s = light.openness
+    part = (1 - v) * ((1 - u) * s[i, j, 0] + u * s[i, j + 1, 0]) + v * (
+        (1 - u) * s[i + 1, j, 0] + u * s[i + 1, j + 1, 0]
+    )
+    high = min(max((z - s[i, j, 1]) / 6.0, 0.0), 1.0)
+    return part + (1.0 - part) * high
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def shade(
+    band: Band,
+    light: Light,
+    material: int,
+    offset_kelvin: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    T_object_map: NDArray[np.float64],
+    mover: int,
+    moved: bool,
+    dx: float,
+    dy: float,
+    dz: float,
+    distance_m: float,
+    pixel_rad: float,
+) -> float:
+    """Radiance that reaches the camera from a point (x, y, z) with unit normal, in map axes.
+
+    (dx, dy, dz) is the unit direction of the ray.  Where ``moved`` is true, the texture clings to
+    the axes of a mover: ``T_object_map[mover]`` takes map coordinates there.
+    """
+    facing = dx * nx + dy * ny + dz * nz
+    if facing > 0.0:
+        nx, ny, nz, facing = -nx, -ny, -nz, -facing
+    across = distance_m * pixel_rad
+    along = across / max(-facing, 0.02)
+    slant = np.sqrt(max(1.0 - facing * facing, 1e-12))
+    ax = (dx - facing * nx) / slant
+    ay = (dy - facing * ny) / slant
+    az = (dz - facing * nz) / slant
+    row = band.table[material]
+    rest = T_object_map[mover]
+    tx, ty, tz, mx, my, mz = x, y, z, nx, ny, nz
+    if moved:
+        tx = rest[0, 0] * x + rest[0, 1] * y + rest[0, 2] * z + rest[0, 3]
+        ty = rest[1, 0] * x + rest[1, 1] * y + rest[1, 2] * z + rest[1, 3]
+        tz = rest[2, 0] * x + rest[2, 1] * y + rest[2, 2] * z + rest[2, 3]
+        mx = rest[0, 0] * nx + rest[0, 1] * ny + rest[0, 2] * nz
+        my = rest[1, 0] * nx + rest[1, 1] * ny + rest[1, 2] * nz
+        mz = rest[2, 0] * nx + rest[2, 1] * ny + rest[2, 2] * nz
+        bx = rest[0, 0] * ax + rest[0, 1] * ay + rest[0, 2] * az
+        by = rest[1, 0] * ax + rest[1, 1] * ay + rest[1, 2] * az
+        bz = rest[2, 0] * ax + rest[2, 1] * ay + rest[2, 2] * az
+        ax, ay, az = bx, by, bz
+    towards_sun = 0.0
+    if band.sunshine > 0.0:
+        towards_sun = max(0.0, nx * band.sun[0] + ny * band.sun[1] + nz * band.sun[2])
+        if towards_sun > 0.0:
+            towards_sun *= _sunlit(light, band.sun, x, y, z)
+    # Coordinates along the surface: level and up the slope, or east and north on level ground.
+    if abs(mz) > 0.9:
+        a, b, way_a, way_b = tx, ty, ax, ay
+    else:
+        level = np.sqrt(mx * mx + my * my)
+        a = (-my * tx + mx * ty) / level
+        b = tz / level
+        way_a = (-my * ax + mx * ay) / level
+        way_b = az / level
+    up = 0.5 * (1.0 + nz)
+    up *= _open_sky(light, x, y, z)
+
+    if not band.thermal:  # another part of the lattice: the bands share no texture
+        a += 613.7
+        b += 271.3
+    variation = texture(band.lattice, row, a, b, way_a, way_b, across, along)
+
+    if not band.thermal:
+        reflectance = min(max(row[_BASE] * (1.0 + variation), 0.01), 0.95)
+        share = 0.7 * band.sunshine
+        return (
+            band.illumination
+            * reflectance
+            * ((1.0 - share) * (0.15 + 0.85 * up) + share * towards_sun)
         )
 
-
-@njit(cache=True, nogil=True)
-def _shade_thermal(
-    triangle: NDArray[np.int32],
-    us: Floats,
-    vs: Floats,
-    depth: Floats,
-    directions: Floats,
-    pixel_rad: float,
-    rest: Floats,
-    normals: Floats,
-    material: NDArray[np.int32],
-    offsets: Floats,
-    turned: bool,
-    table: NDArray[np.float64],
-    lattice: NDArray[np.float32],
-    planck_r: float,
-    air_kelvin: float,
-    zenith_emissivity: float,
-    cloud_variation: float,
-    extinction_per_m: float,
-    sun: NDArray[np.float64],
-    out: Floats,
-) -> None:
-    air = _planck(planck_r, air_kelvin)
-    # Mean over the hemisphere, for surfaces that do not mirror: close to the sky at 35 degrees.
-    sky_mean = _sky_radiance(
-        lattice, planck_r, air_kelvin, zenith_emissivity, 0.0, 0.8191, 0.0, 0.5736
-    )
-    for i in range(len(triangle)):
-        k = triangle[i]
-        u = us[i]
-        v = vs[i]
-        w = 1.0 - u - v
-        x = w * rest[k, 0, 0] + u * rest[k, 1, 0] + v * rest[k, 2, 0]
-        y = w * rest[k, 0, 1] + u * rest[k, 1, 1] + v * rest[k, 2, 1]
-        z = w * rest[k, 0, 2] + u * rest[k, 1, 2] + v * rest[k, 2, 2]
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        distance = depth[i] * length
-        dx /= length
-        dy /= length
-        dz /= length
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-        facing = dx * nx + dy * ny + dz * nz
-        if facing > 0.0:
-            nx, ny, nz, facing = -nx, -ny, -nz, -facing
-        across = distance * pixel_rad
-        along = across
-        ax = 0.0
-        ay = 0.0
-        az = 0.0
-        if not turned:
-            slant = np.sqrt(max(1.0 - facing * facing, 1e-12))
-            along = across / max(-facing, 0.02)
-            ax = (dx - facing * nx) / slant
-            ay = (dy - facing * ny) / slant
-            az = (dz - facing * nz) / slant
-        row = table[material[k]]
-        kelvin = row[_BASE]
-        kelvin += row[_OFFSET] * (w * offsets[k, 0] + u * offsets[k, 1] + v * offsets[k, 2])
-        kelvin += texture(lattice, row, x, y, z, nx, ny, nz, ax, ay, az, across, along)
-        if row[_SUN] != 0.0:
-            kelvin += row[_SUN] * max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
-        up = 0.5 * (1.0 + nz)
-        kelvin -= row[_SKY] * up * up
-        emissivity = row[_EMISSIVITY]
-        radiance = emissivity * _planck(planck_r, kelvin)
-        if emissivity < 1.0:
-            if row[_MIRROR] > 0.0:
-                mz = dz - 2.0 * facing * nz
-                if mz > 0.0:
-                    reflected = _sky_radiance(
-                        lattice,
-                        planck_r,
-                        air_kelvin,
-                        zenith_emissivity,
-                        cloud_variation,
-                        dx - 2.0 * facing * nx,
-                        dy - 2.0 * facing * ny,
-                        mz,
-                    )
-                else:
-                    reflected = air
-            else:
-                reflected = up * sky_mean + (1.0 - up) * air
-            radiance += (1.0 - emissivity) * reflected
-        if extinction_per_m > 0.0:
-            through = np.exp(-extinction_per_m * distance)
-            radiance = through * radiance + (1.0 - through) * air
-        out[i] = radiance
-
-
-@njit(cache=True, nogil=True)
-def _shade_visible(
-    triangle: NDArray[np.int32],
-    us: Floats,
-    vs: Floats,
-    depth: Floats,
-    directions: Floats,
-    pixel_rad: float,
-    rest: Floats,
-    normals: Floats,
-    material: NDArray[np.int32],
-    turned: bool,
-    table: NDArray[np.float64],
-    lattice: NDArray[np.float32],
-    illumination: float,
-    sunshine: float,
-    sun: NDArray[np.float64],
-    out: Floats,
-) -> None:
-    for i in range(len(triangle)):
-        k = triangle[i]
-        u = us[i]
-        v = vs[i]
-        w = 1.0 - u - v
-        # Another part of the lattice than the thermal texture.
-        x = w * rest[k, 0, 0] + u * rest[k, 1, 0] + v * rest[k, 2, 0] + 613.7
-        y = w * rest[k, 0, 1] + u * rest[k, 1, 1] + v * rest[k, 2, 1] + 271.3
-        z = w * rest[k, 0, 2] + u * rest[k, 1, 2] + v * rest[k, 2, 2] + 118.9
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        across = depth[i] * length * pixel_rad
-        dx /= length
-        dy /= length
-        dz /= length
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-        facing = dx * nx + dy * ny + dz * nz
-        if facing > 0.0:
-            nx, ny, nz, facing = -nx, -ny, -nz, -facing
-        along = across
-        ax = 0.0
-        ay = 0.0
-        az = 0.0
-        if not turned:
-            slant = np.sqrt(max(1.0 - facing * facing, 1e-12))
-            along = across / max(-facing, 0.02)
-            ax = (dx - facing * nx) / slant
-            ay = (dy - facing * ny) / slant
-            az = (dz - facing * nz) / slant
-        row = table[material[k]]
-        variation = texture(lattice, row, x, y, z, nx, ny, nz, ax, ay, az, across, along)
-        reflectance = min(max(row[_BASE] * (1.0 + variation), 0.01), 0.95)
-        diffuse = 0.5 * (1.0 + 0.6 * nz + 0.15 * nx)
-        direct = max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
-        light = (1.0 - 0.7 * sunshine) * diffuse + 0.7 * sunshine * direct
-        out[i] = illumination * reflectance * light
+    kelvin = row[_BASE] + row[_OFFSET] * offset_kelvin + variation
+    kelvin += row[_SUN] * towards_sun + row[_DAYLIGHT] * up - row[_SKY] * up * up
+    emissivity = row[_EMISSIVITY]
+    radiance = emissivity * planck(band.planck_r, kelvin)
+    air = planck(band.planck_r, band.air_kelvin)
+    if emissivity < 1.0:
+        if row[_MIRROR] > 0.0:
+            rx = dx - 2.0 * facing * nx
+            ry = dy - 2.0 * facing * ny
+            rz = dz - 2.0 * facing * nz
+            reflected = sky_radiance(band, rx, ry, rz, True) if rz > 0.0 else air
+        else:
+            # Mean over the hemisphere: close to the sky at 35 degrees.
+            reflected = up * sky_radiance(band, 0.8191, 0.0, 0.5736, False) + (1.0 - up) * air
+        radiance += (1.0 - emissivity) * reflected
+    if band.extinction_per_m > 0.0:
+        through = np.exp(-band.extinction_per_m * distance_m)
+        radiance = through * radiance + (1.0 - through) * air
+    return radiance

@@ -12,10 +12,10 @@ from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.simulation.noise import random_lattice
 from thermal_stereo_vo.simulation.presets import find_preset
-from thermal_stereo_vo.simulation.render import Lens, Renderer
+from thermal_stereo_vo.simulation.render import Lens, Poses, Renderer
 from thermal_stereo_vo.simulation.rig import stereo_rig
 from thermal_stereo_vo.simulation.settings import SimulationConfig
-from thermal_stereo_vo.simulation.shading import ThermalBand
+from thermal_stereo_vo.simulation.shading import open_field, thermal_band
 from thermal_stereo_vo.simulation.thermal_camera import ThermalCamera
 from thermal_stereo_vo.simulation.thermal_field import Responsivity
 from thermal_stereo_vo.simulation.town import TownOptions, build_town
@@ -56,6 +56,11 @@ class Simulation:
         assert T_base_rig is not None
         return self.motion.T_map_base(time_s) @ T_base_rig
 
+    def T_map_camera(self, role: str) -> Poses:
+        """Time (s) -> (4, 4) pose of one camera."""
+        T_rig_camera = self.rig[role].T_rig_camera
+        return lambda time_s: self.T_map_rig(time_s) @ T_rig_camera
+
     def ground_truth(self) -> Trajectory:
         """Poses of the rig relative to the first."""
         poses = np.array([self.T_map_rig(self.time_s(i)) for i in range(self.instants)])
@@ -69,7 +74,8 @@ class Simulation:
         scene = build_town(path, TownOptions(seed=1, weather=self.weather), self.weather.air_kelvin)
         responsivity = Responsivity(self.config.thermal.counts_per_kelvin)
         lattice = random_lattice(np.random.default_rng(3))
-        renderer = Renderer(scene, ThermalBand(self.weather, responsivity, lattice))
+        renderer = Renderer(scene, open_field())
+        band = thermal_band(self.weather, responsivity, lattice)
         roles = list(self.rig.cameras)
         lenses = {role: Lens(self.rig[role].camera) for role in roles}
         cameras = {
@@ -79,7 +85,8 @@ class Simulation:
         for index in range(self.instants):
             time_s = self.time_s(index)
             for role in roles:
-                T_map_camera = self.T_map_rig(time_s) @ self.rig[role].T_rig_camera
-                radiance = renderer.render(lenses[role], T_map_camera, time_s).radiance
+                radiance = renderer.render(
+                    lenses[role], band, self.T_map_camera(role), time_s
+                ).radiance
                 image = cameras[role].expose(radiance, index)
                 yield RawFrame(image, self.stamp_ns(index), role, index)

@@ -50,6 +50,7 @@ class Column(IntEnum):
     EMISSIVITY = 0
     BASE = auto()
     SUN = auto()
+    DAYLIGHT = auto()
     SKY = auto()
     OFFSET = auto()
     MIRROR = auto()
@@ -76,8 +77,8 @@ def thermal_table(weather: Weather) -> NDArray[np.float64]:
             weather.air_kelvin
             + substance.own_kelvin
             + substance.stored_kelvin * weather.heat_storage
-            + 0.25 * substance.solar_kelvin * weather.daylight
         )
+        row[Column.DAYLIGHT] = 0.25 * substance.solar_kelvin * weather.daylight
         row[Column.SUN] = substance.solar_kelvin * weather.sun
         row[Column.SKY] = substance.sky_loss_kelvin * weather.sky_cooling
         row[Column.OFFSET] = 1.0 if substance.heated else scale

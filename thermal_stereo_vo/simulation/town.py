@@ -65,7 +65,6 @@ class _Town:
         self._options = options
         self._air_kelvin = air_kelvin
         self._b = MeshBuilder()
-        self._thin: list[Floats] = []
         self._movers: list[Mover] = []
 
     def build(self) -> Scene:
@@ -80,9 +79,7 @@ class _Town:
                 self._street(i, j, along_x=False)
         self._horizon((low + high) / 2)
         return Scene(
-            self._b.build(),
-            tuple(self._movers),
-            np.array(self._thin).reshape(-1, 2, 3) if self._thin else np.zeros((0, 2, 3)),
+            self._b.build(), tuple(self._movers), outdoors=True, extent_m=np.stack([low, high])
         )
 
     def _distance(self, x: float, y: float) -> float:
@@ -355,7 +352,6 @@ class _Town:
                 line = a + f * (c - a) - np.array([0, 0, 1.0]) * (drop + 1.6 * f * (1 - f))
                 for p, q in zip(line[:-1], line[1:], strict=True):
                     self._b.cylinder(p, q, 0.012, Material.CABLE, sides=3)
-                    self._thin.append(np.array([p, q]))
 
     def _horizon(self, centre: Floats) -> None:
         """Fields and hills to close the view."""

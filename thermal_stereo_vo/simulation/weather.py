@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thermal_stereo_vo.core.errors import SimulationError
 
 
@@ -35,6 +38,14 @@ class Weather:
     lamps: bool
     sun_elevation_deg: float = 35.0
     sun_azimuth_deg: float = 215.0
+
+    @property
+    def sun_direction(self) -> NDArray[np.float64]:
+        """(3,) unit vector towards the sun, east north up."""
+        elevation = np.radians(self.sun_elevation_deg)
+        azimuth = np.radians(self.sun_azimuth_deg)
+        level = np.cos(elevation)
+        return np.array([level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)])
 
 
 WEATHERS = {
