@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import select
 import struct
 import threading
 import time
 import tty
+from collections import defaultdict
 
 import pytest
 
@@ -166,6 +169,104 @@ class PtyCamera:
         elif len(data) == 8 and len(self.regions) == 16:
             self.regions = data + self.regions[8:]
         return self.regions[:8] if not data else self.regions
+
+
+class LiveNode:
+    """The capture node and a listener in this process."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import CameraInfo, Image
+
+        from thermal_stereo_vo.nodes import runtime
+        from thermal_stereo_vo.nodes.stereo_capture_node import StereoCaptureNode
+
+        rclpy.init(args=["--ros-args", *arguments])
+        self._rclpy = rclpy
+        self.node = StereoCaptureNode()
+        self.listener = rclpy.create_node("listener")
+        self.heard: dict[str, list] = {}
+        topics = {"/diagnostics": DiagnosticArray, "status": DiagnosticArray}
+        for eye in ("left", "right"):
+            topics |= {f"{eye}/image_raw": Image, f"{eye}/camera_info": CameraInfo}
+        for topic, kind in topics.items():
+            self.heard[topic] = []
+            self.listener.create_subscription(
+                kind, topic, self.heard[topic].append, runtime.IMAGES_ALL
+            )
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._executor.add_node(self.listener)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def stamps(self, topic: str) -> list[int]:
+        messages = list(self.heard[topic])
+        return [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+
+    def health(self):
+        """The newest status of the node: level, message, values."""
+        if not self.heard["/diagnostics"]:
+            return -1, "nothing heard yet", defaultdict(str)
+        status = self.heard["/diagnostics"][-1].status[0]
+        return status.level[0], status.message, {v.key: v.value for v in status.values}
+
+    def said(self) -> object:
+        """For messages of failed tests."""
+        counts = {topic: len(messages) for topic, messages in self.heard.items()}
+        return counts, self.health()
+
+    def call(self, kind, name: str, request, limit_s: float = 30.0):
+        client = self.listener.create_client(kind, name)
+        try:
+            assert client.wait_for_service(timeout_sec=limit_s)
+            future = client.call_async(request)
+            deadline = time.monotonic() + limit_s
+            while not future.done():
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+            return future.result()
+        finally:
+            self.listener.destroy_client(client)
+
+    def close(self) -> None:
+        self._rclpy.try_shutdown()
+        self._thread.join()
+        self.node.close()
+        self.node.destroy_node()
+        self.listener.destroy_node()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException
+
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+
+@pytest.fixture
+def start_node(tmp_path, monkeypatch):
+    """``start_node(**parameters)``: the capture node of this process ('__' stands for a dot)."""
+    pytest.importorskip("rclpy", reason="rclpy is not installed")
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw") or 0)
+    domain = 1 + 2 * random.SystemRandom().randrange(50) + worker % 2
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    live = []
+
+    def start(*arguments, **parameters):
+        options = list(arguments)
+        for name, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            options += ["-p", f"{name.replace('__', '.')}:={text}"]
+        live.append(LiveNode(options))
+        return live[-1]
+
+    yield start
+    for node in live:
+        node.close()
 
 
 @pytest.fixture

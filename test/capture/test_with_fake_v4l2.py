@@ -49,4 +49,6 @@ def test_passes_under_the_fake(file, fake_library, tmp_path):
         timeout=120,
         check=False,
     )
+    if run.returncode == pytest.ExitCode.NO_TESTS_COLLECTED:
+        pytest.skip(run.stdout)
     assert run.returncode == 0, run.stdout + run.stderr

@@ -171,12 +171,12 @@ def _path_of(url: str) -> Path:
         return Path(rest)
     if scheme != "package":
         raise CalibrationError(f"the calibration URL '{url}' must begin with file:// or package://")
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+    from ament_index_python.packages import get_package_share_directory
 
     package, _, inside = rest.partition("/")
     try:
         return Path(get_package_share_directory(package)) / inside
-    except PackageNotFoundError:
+    except (LookupError, OSError):  # unknown, or no workspace is sourced at all
         raise CalibrationError(
             f"the package '{package}' of the calibration URL '{url}' is not installed"
         ) from None

@@ -1,0 +1,233 @@
+"""The node on two fake devices: topics, services, diagnostics, recording."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed")
+
+from std_srvs.srv import SetBool, Trigger
+
+from thermal_stereo_vo.core.calibration_yaml import dump_camera_info
+from thermal_stereo_vo.core.camera_info import CameraInfoFields
+from thermal_stereo_vo.datasets.options import SourceOptions
+from thermal_stereo_vo.datasets.rosbag import open_bag
+from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.nodes.stereo_capture_node import StereoCaptureNode
+from thermal_stereo_vo.outputs.bag_writer import BagWriter
+from thermal_stereo_vo.outputs.ros_fields import ERROR, OK, WARN, telemetry_from_values
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+EYES = ("left", "right")
+
+
+@pytest.fixture
+def calibration(tmp_path):
+    """camera_info files of the two eyes, 64x48 pixels."""
+    for eye, shift in (("left", 0.0), ("right", -12.0)):
+        info = CameraInfoFields(
+            width=64,
+            height=48,
+            distortion_model="plumb_bob",
+            d=(0.0,) * 5,
+            k=(60.0, 0.0, 32.0, 0.0, 60.0, 24.0, 0.0, 0.0, 1.0),
+            p=(60.0, 0.0, 32.0, shift, 0.0, 60.0, 24.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+            name=eye,
+        )
+        (tmp_path / f"{eye}.yaml").write_text(dump_camera_info(info))
+    return tmp_path
+
+
+@pytest.fixture
+def start(start_node, left, right, calibration):
+    def run(*arguments, **parameters):
+        settings = {"pairing__tolerance_ms": 14.0, "grabbers__recovery__longest_wait_s": 0.1}
+        for device in (left, right):
+            device.control.millihertz = 30_000
+        for eye, device in zip(EYES, (left, right), strict=True):
+            settings |= {
+                f"grabbers__{eye}__device": device.path,
+                f"grabbers__{eye}__width": 64,
+                f"grabbers__{eye}__height": 48,
+                f"{eye}_calibration": f"file://{calibration / eye}.yaml",
+            }
+        return start_node(*arguments, **(settings | parameters))
+
+    return run
+
+
+def painted_by_the_fake(image):
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    return len(np.unique((image.astype(np.int64) - x * 7 - y * 13) % 65536)) == 1
+
+
+def test_pairs_go_out_under_one_stamp_with_calibration_and_status(start, eventually):
+    node = start()
+    eventually(lambda: len(node.heard["right/image_raw"]) > 10, node.said, limit_s=30.0)
+    eventually(lambda: node.heard["/diagnostics"] and node.health()[0] == OK, node.said, 30.0)
+    lefts, rights = (node.stamps(f"{eye}/image_raw") for eye in EYES)
+    common = set(lefts) & set(rights)
+    assert len(common) >= len(rights) - 2
+    assert set(node.stamps("left/camera_info")) >= set(lefts[2:-2])
+    assert set(node.stamps("status")) >= set(lefts[2:-2])
+    assert all(b > a for a, b in pairwise(lefts))
+    image = node.heard["left/image_raw"][-1]
+    assert (image.encoding, image.width, image.height, image.step) == ("mono16", 64, 48, 128)
+    assert image.header.frame_id == "left_optical"
+    assert painted_by_the_fake(conversions.image_from_msg(image))
+    info = node.heard["right/camera_info"][-1]
+    assert (info.header.frame_id, info.p[3]) == ("right_optical", -12.0)
+    status = node.heard["status"][-1].status
+    assert [entry.name for entry in status] == ["stereo capture", "left", "right"]
+    values = {entry.key: entry.value for entry in status[0].values}
+    assert abs(int(values["skew_ns"])) <= 14_000_000
+    _, message, health = node.health()
+    assert message.startswith("streaming at ")
+    assert health["left_format"] == "Y16 64x48 at 30 Hz from fake grabber"
+    assert health["right_stamps"] == "end of frame"
+
+
+def test_telemetry_and_services(start, eventually, two_pty_cameras):
+    node = start(
+        grabbers__control__left_port=two_pty_cameras["left"].port,
+        grabbers__control__right_port=two_pty_cameras["right"].port,
+        grabbers__control__poll_period_s=0.05,
+        grabbers__ffc__separation_s=0.2,
+        grabbers__ffc__duration_s=0.1,
+        grabbers__camera__gain_mode="high",
+        grabbers__camera__external_sync="left_master",
+    )
+
+    def telemetry(eye):
+        entries = [e for m in node.heard["status"] for e in m.status if e.name == eye]
+        values = [{v.key: v.value for v in entry.values} for entry in entries]
+        return [said for said in map(telemetry_from_values, values) if said is not None]
+
+    eventually(lambda: telemetry("left") and telemetry("right"), node.said, limit_s=30.0)
+    assert telemetry("left")[-1].fpa_temperature_kelvin == pytest.approx(298.45)
+    assert two_pty_cameras["left"].registers[0x21] == b"\0\2"
+    assert two_pty_cameras["right"].registers[0x21] == b"\0\1"
+    answer = node.call(SetBool, "/stereo_capture/inhibit_ffc", SetBool.Request(data=True))
+    assert (answer.success, answer.message) == (True, "no corrections for 30 s")
+    eventually(lambda: node.health()[2]["ffc_inhibited"] == "true", node.said)
+    assert node.call(SetBool, "/stereo_capture/inhibit_ffc", SetBool.Request(data=False)).success
+    assert node.call(Trigger, "/stereo_capture/do_ffc", Trigger.Request()).success
+    for eye in EYES:
+        eventually(
+            lambda e=eye: any(t.ffc_state.value == "in_progress" for t in telemetry(e)),
+            node.said,
+            limit_s=15.0,
+        )
+        eventually(
+            lambda e=eye: telemetry(e)[-1].ffc_state.value == "complete", node.said, limit_s=15.0
+        )
+    eventually(lambda: node.health()[2]["left_ffc_count"] == "1", node.said)
+    assert node.health()[2]["left_camera"].startswith("serial 12345")
+
+
+def test_a_lost_eye(start, eventually, right):
+    node = start()
+    eventually(lambda: len(node.heard["right/image_raw"]) > 3, node.said, limit_s=30.0)
+    right.control.unplugged = 1
+    eventually(lambda: node.health()[0] == ERROR, node.said, limit_s=10.0)
+    assert "right: waiting to reconnect: " in node.health()[1]
+    lefts, rights = (len(node.heard[f"{eye}/image_raw"]) for eye in EYES)
+    eventually(lambda: len(node.heard["left/image_raw"]) > lefts + 10, node.said)
+    assert len(node.heard["right/image_raw"]) == rights
+    alone = node.heard["status"][-1].status
+    assert (alone[0].level, alone[0].message) == (bytes([WARN]), "left alone")
+    right.control.unplugged = 0
+    eventually(lambda: len(node.heard["right/image_raw"]) > rights + 5, node.said)
+    eventually(lambda: node.health()[0] < ERROR, node.said)
+    answer = node.call(Trigger, "/stereo_capture/reconnect", Trigger.Request())
+    assert answer.success
+    eventually(lambda: node.health()[2]["left_connections"] == "2", node.said)
+    answer = node.call(Trigger, "/stereo_capture/do_ffc", Trigger.Request())
+    assert not answer.success
+    assert "no camera has a control port" in answer.message
+
+
+def test_drops_and_unknown_stamps_are_warned_of(start, eventually, left):
+    left.control.buffer_flags = 0
+    node = start()
+    eventually(lambda: len(node.heard["left/image_raw"]) > 3, node.said, limit_s=30.0)
+    left.control.damaged = 20
+    eventually(lambda: "lost or damaged" in node.health()[1], node.said)
+    level, message, values = node.health()
+    assert level == WARN
+    assert "left: the driver's stamps are on no known clock" in message
+    assert int(values["left_damaged"]) > 0
+
+
+def test_what_is_recorded_replays_bit_for_bit(start, eventually, tmp_path):
+    node = start()
+    eventually(lambda: len(node.heard["right/image_raw"]) > 20, node.said, limit_s=30.0)
+    sent = {eye: list(node.heard[f"{eye}/image_raw"])[:20] for eye in EYES}
+    with BagWriter(tmp_path / "bag") as bag:
+        for eye in EYES:
+            for image, info in zip(sent[eye], node.heard[f"{eye}/camera_info"], strict=False):
+                stamp_ns = conversions.stamp_from_msg(image.header.stamp)
+                bag.write_image(
+                    f"/{eye}/image_raw", stamp_ns, conversions.image_from_msg(image), eye
+                )
+                fields = conversions.camera_info_from_msg(info)
+                bag.write_camera_info(f"/{eye}/camera_info", stamp_ns, fields, eye)
+    dataset, _ = open_bag(tmp_path / "bag", SourceOptions())
+    replayed = {eye: [frame for frame in dataset.frames() if frame.camera == eye] for eye in EYES}
+    for eye in EYES:
+        assert len(replayed[eye]) == 20
+        for frame, message in zip(replayed[eye], sent[eye], strict=True):
+            assert frame.stamp_ns == conversions.stamp_from_msg(message.header.stamp)
+            assert frame.image.tobytes() == bytes(message.data)
+            assert painted_by_the_fake(frame.image)
+    assert dataset.calibration().baseline_m == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["sensoray", "boson", "analog"])
+def test_the_ready_settings_start_the_node(start, eventually, left, right, name):
+    for device in (left, right):
+        device.control.standard = 0x1000
+    node = start(
+        "--params-file",
+        str(REPOSITORY / "config" / f"stereo_capture_{name}.yaml"),
+        grabbers__left__pixel_format="Y16",
+        grabbers__right__pixel_format="Y16",
+        pairing__tolerance_ms=16.0,
+    )
+    eventually(lambda: len(node.heard["left/image_raw"]) > 3, node.said, limit_s=30.0)
+    assert node.node.config.left_calibration.startswith("file:///")
+    assert node.node.config.grabbers.ffc.authority == ("host" if name == "sensoray" else "none")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "answer"),
+    [
+        ({"grabbers.left.device": "/x", "grabbers.right.device": "/x"}, "are both '/x'"),
+        ({"grabbers.left.divice": "/x"}, "unknown setting 'grabbers.left.divice': did you mean"),
+        ({"left_calibration": "http://x/y.yaml"}, "must begin with file:// or package://"),
+        ({"left_calibration": "package://no_such_package/y"}, "'no_such_package' .* not installed"),
+        ({"left_calibration": "CALIBRATION"}, "is for 64x48 pixels, the stream has 640x512"),
+        ({"grabbers.left.buffers": "2"}, r"grabbers.left.buffers = 2 is out of range.*4\.\.8"),
+        ({"source": "recording"}, "recording.recording names none"),
+    ],
+    ids=str,
+)
+def test_wrong_settings_end_the_node_with_a_sentence(
+    calibration, capsys, monkeypatch, tmp_path, parameters, answer
+):
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    settings = {"grabbers.left.device": "/left", "grabbers.right.device": "/right"} | parameters
+    arguments = ["node", "--ros-args"]
+    for name, value in settings.items():
+        text = f"file://{calibration / 'left.yaml'}" if value == "CALIBRATION" else value
+        arguments += ["-p", f"{name}:={text}"]
+    assert runtime.run(StereoCaptureNode, arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("stereo_capture_node: ")
+    import re
+
+    assert re.search(answer, error)
