@@ -35,6 +35,11 @@ class OdometryState:
         self._step_s = 0.0
 
     @property
+    def is_lost(self) -> bool:
+        """Whether the pose is unknown."""
+        return self.status is TrackingStatus.LOST
+
+    @property
     def status(self) -> TrackingStatus:
         """The status of the last result."""
         return self._status.status
@@ -55,7 +60,7 @@ class OdometryState:
 
     def predicted(self) -> NDArray[np.float64]:
         """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
-        if self.status is TrackingStatus.LOST:
+        if self.is_lost:
             return self.pose.T_world_rig
         return self.pose.T_world_rig @ self.prior.predict(self._step_s)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,12 @@ from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
     BundleSolution,
 )
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import KeyframeImages, Pyramid
+from thermal_stereo_vo.odometry.feature_based.inverse_depth import predict_pixels
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
+
+BORDER_PX = 8.0
+"""Nearer to the border a patch may be missed without blame."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class KeyframeWindow:
     def __init__(
         self, keyframes: int, capacity: int, shape: tuple[int, int], camera: StereoCamera
     ) -> None:
-        self._camera = camera
+        self.camera = camera
         self._room = keyframes
         self.images = KeyframeImages(keyframes, shape)
         self.T_keyframe_world = np.tile(np.eye(4), (keyframes, 1, 1))
@@ -120,32 +125,85 @@ class KeyframeWindow:
         """(N,) counts of the points' pixels."""
         return self._intensity[points.index]
 
+    def predict(
+        self, points: WindowPoints, T_camera_world: NDArray[np.float64], step_px: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where points should appear, (N, 4) px, and the (N, 2, 2) warp of a patch of that size."""
+        predicted = np.full((len(points), 4), np.nan)
+        warps = np.zeros((len(points), 2, 2))
+        predict_pixels(
+            T_camera_world,
+            self.T_keyframe_world,
+            points.hosts,
+            points.bearings,
+            points.rhos,
+            self.camera.parameters,
+            step_px,
+            predicted,
+            warps,
+        )
+        return predicted, warps
+
+    def parallax_px(self, points: WindowPoints, T_camera_world: NDArray[np.float64]) -> float:
+        """Median flow of points of the newest keyframe since then, less what is due to rotation."""
+        T = T_camera_world @ inverse(self.T_keyframe_world[self.newest])
+        focal_px = (self.camera.fx, self.camera.fy)
+        turned = points.bearings @ T[:3, :3].T
+        moved = turned + points.rhos[:, None] * T[:3, 3]
+        flow_px = (moved[:, :2] / moved[:, 2:] - turned[:, :2] / turned[:, 2:]) * focal_px
+        return float(np.median(np.linalg.norm(flow_px, axis=1)))
+
+    def radial_weights(
+        self, host_px: NDArray[np.float64], observed: NDArray[np.float64], trust: float
+    ) -> NDArray[np.float64]:
+        """Weights of observations (..., 4) of points (N, 2) by their angles from the optical axis.
+
+        What calibration leaves of the lens distortion grows towards the border, in the host as in
+        the frame that sees the point; ``trust`` is the tangent at which it equals the noise.
+        """
+        if trust == 0.0:
+            return np.ones(observed.shape[:-1])
+        left = np.isfinite(observed[..., :1])
+        here = self._radius_squared(np.where(left, observed[..., :2], observed[..., 2:]))
+        here = np.where(np.isfinite(here), here, 0.0) + self._radius_squared(host_px)
+        return np.asarray(1.0 / (1.0 + here / trust**2))
+
     def note_tracking(
-        self, points: WindowPoints, good: NDArray[np.bool_], most_misses: int
+        self,
+        points: WindowPoints,
+        good: NDArray[np.bool_],
+        T_camera_world: NDArray[np.float64],
+        most_misses: int,
     ) -> None:
-        """Drop points that were looked for and missed too many times in a row."""
+        """Drop points that should be in sight but were missed too many times in a row."""
+        predicted, _ = self.predict(points, T_camera_world, 1.0)
+        height, width = self.images.stacks[0].shape[1:]
+        x, y = predicted[:, 0], predicted[:, 1]
+        in_sight = (x > BORDER_PX) & (x < width - BORDER_PX)
+        in_sight &= (y > BORDER_PX) & (y < height - BORDER_PX)
         self._misses[points.index[good]] = 0
-        missed = points.index[~good]
+        missed = points.index[in_sight & ~good]
         self._misses[missed] += 1
         self._drop(missed[self._misses[missed] > most_misses])
 
     def add_keyframe(
         self,
         pose: PoseEstimate,
-        relative_covariance: NDArray[np.float64] | None,
+        relative_covariance: NDArray[np.float64],
         pyramid: Pyramid,
-        points: WindowPoints,
-        observed: NDArray[np.float64],
-    ) -> int:
-        """Take a frame in, the oldest keyframe out when there is no room; returns the slot.
+        points: WindowPoints | None = None,
+        observed: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Take a frame in, the oldest keyframe out when there is no room.
 
         ``relative_covariance`` (6, 6) is that of the frame's left perturbation given the newest
-        keyframe, None for the first keyframe.  ``observed`` (N, 4) is where it saw ``points``.
+        keyframe; the first keyframe has none but its own.  ``observed`` (N, 4) is where it saw ``points``.
+        Returns the (M, 2) left pixels of those points that are still in the window.
         """
         if len(self.order) == self._room:
             self._forget_oldest()
         slot = next(i for i in range(self._room) if i not in self.order)
-        if relative_covariance is None:
+        if not self.order:
             self._oldest_covariance = pose.covariance
         elif len(self.order) == 1:
             self._relative_covariance[slot] = relative_covariance
@@ -158,28 +216,30 @@ class KeyframeWindow:
         self.T_keyframe_world[slot] = inverse(pose.T_world_rig)
         self.images.store(slot, pyramid)
         self._observed[slot] = np.nan
+        self.order.append(slot)
+        if points is None or observed is None:
+            return np.zeros((0, 2))
         still = self._hosts[points.index] >= 0
         self._observed[slot, points.index[still]] = observed[still]
-        self.order.append(slot)
-        return slot
+        pixels = observed[still, :2]
+        return pixels[np.isfinite(pixels[:, 0])]
 
     def add_points(
         self,
-        pixels: NDArray[np.float64],
+        pixels: NDArray[np.int64],
         right_x_px: NDArray[np.float64],
-        intensity: NDArray[np.float32],
-        sigma_information: float,
+        intensity: NDArray[Any],
     ) -> None:
         """Give the newest keyframe (N, 2) new points with the column (N,) seen by its right eye."""
         free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
         pixels, right_x_px = pixels[: len(free)], right_x_px[: len(free)]
-        camera, slot = self._camera, self.newest
+        camera, slot = self.camera, self.newest
         disparity = (pixels[:, 0] - camera.cx) - (right_x_px - camera.cx_right)
         gain = camera.fx * camera.baseline_m
         self._hosts[free] = slot
         self._host_px[free] = pixels
         self._rhos[free] = np.maximum(disparity / gain, RHO_MIN)
-        self._rho_information[free] = sigma_information * gain**2
+        self._rho_information[free] = gain**2
         self._observed[:, free] = np.nan
         self._observed[slot, free, 0] = pixels[:, 0]
         self._observed[slot, free, 1] = pixels[:, 1]
@@ -194,10 +254,6 @@ class KeyframeWindow:
         rank = np.zeros(self._room, np.int64)
         rank[slots] = np.arange(len(slots))
         observed = self._observed[slots][:, points.index]
-        host_radius = self._radius_squared(points.host_px)
-        radius = self._radius_squared(observed[..., :2])
-        radius = np.where(np.isfinite(radius), radius, 0.0) + host_radius
-        trust = radial_trust**2 if radial_trust > 0.0 else np.inf
         return (
             BundleProblem(
                 self.T_keyframe_world[slots].copy(),
@@ -205,8 +261,8 @@ class KeyframeWindow:
                 points.bearings,
                 points.rhos,
                 np.ascontiguousarray(observed),
-                1.0 / (1.0 + radius / trust),
-                self._camera.parameters,
+                self.radial_weights(points.host_px, observed, radial_trust),
+                self.camera.parameters,
             ),
             points.index,
         )
@@ -257,7 +313,7 @@ class KeyframeWindow:
         self._hosts[index] = -1
 
     def _bearings(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        camera = self._camera
+        camera = self.camera
         return np.stack(
             [
                 (pixels[:, 0] - camera.cx) / camera.fx,
@@ -268,7 +324,7 @@ class KeyframeWindow:
         )
 
     def _radius_squared(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        camera = self._camera
+        camera = self.camera
         x = (pixels[..., 0] - camera.cx) / camera.fx
         y = (pixels[..., 1] - camera.cy) / camera.fy
         return np.asarray(x * x + y * y)

@@ -184,7 +184,7 @@ def ransac_motion(  # type: ignore[no-untyped-def]
             ratio = (count / n) ** 3
             if ratio >= 1.0:
                 break
-            if ratio > 1e-9:
+            if ratio > 1e-9 and confidence < 1.0:
                 needed = min(needed, int(np.ceil(np.log(1.0 - confidence) / np.log(1.0 - ratio))))
     return best, best_T
 
