@@ -20,6 +20,7 @@ from thermal_stereo_vo.stereo_capture import CaptureCounters, CapturedPair, Capt
 
 NAME = "stereo capture"
 _TOLERATED_DROPS = 0.01
+_TOLERATED_UNPAIRED = 0.1
 
 
 def pair_fields(
@@ -57,6 +58,7 @@ class HealthReport:
     def __init__(self) -> None:
         self._dropped: dict[str, int] = {}
         self._frames: dict[str, int] = {}
+        self._counters = CaptureCounters()
 
     def fields(self, status: CaptureStatus, stamp_ns: int) -> DiagnosticFields:
         """Level, the most urgent sentences, and every counter."""
@@ -64,6 +66,9 @@ class HealthReport:
         for eye, camera in status.cameras.items():
             errors += [f"{eye}: {text}" for text in _errors(camera)]
             warnings += [f"{eye}: {text}" for text in self._warnings(eye, camera)]
+        unpaired = self._unpaired(status)
+        (warnings if self._counters.pairs < status.counters.pairs else errors).extend(unpaired)
+        self._counters = status.counters
         kinds = {camera.link.stamp_kind for camera in status.cameras.values()}
         if kinds == {StampKind.START_OF_FRAME, StampKind.END_OF_FRAME}:
             warnings.append(
@@ -81,6 +86,16 @@ class HealthReport:
             message="; ".join([*errors, *warnings]) or well,
             values=_texts(dict(_values(status))),
         )
+
+    def _unpaired(self, status: CaptureStatus) -> Iterator[str]:
+        pairs = status.counters.pairs - self._counters.pairs
+        unpaired = status.counters.unpaired - self._counters.unpaired
+        if unpaired > _TOLERATED_UNPAIRED * (2 * pairs + unpaired):
+            yield (
+                f"{unpaired} frames found no partner, {pairs} pairs did: the stamps of the eyes "
+                "differ by more than pairing.tolerance_ms, synchronise the cameras or allow up to "
+                "half a frame period"
+            )
 
     def _warnings(self, eye: str, camera: CameraStatus) -> Iterator[str]:
         link, control = camera.link, camera.control

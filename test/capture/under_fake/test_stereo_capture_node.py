@@ -45,7 +45,7 @@ def calibration(tmp_path):
 @pytest.fixture
 def start(start_node, left, right, calibration):
     def run(*arguments, **parameters):
-        settings = {"pairing__tolerance_ms": 14.0, "grabbers__recovery__longest_wait_s": 0.1}
+        settings = {"pairing__tolerance_ms": 16.7, "grabbers__recovery__longest_wait_s": 0.1}
         for device in (left, right):
             device.control.millihertz = 30_000
         for eye, device in zip(EYES, (left, right), strict=True):
@@ -84,7 +84,7 @@ def test_pairs_go_out_under_one_stamp_with_calibration_and_status(start, eventua
     status = node.heard["status"][-1].status
     assert [entry.name for entry in status] == ["stereo capture", "left", "right"]
     values = {entry.key: entry.value for entry in status[0].values}
-    assert abs(int(values["skew_ns"])) <= 14_000_000
+    assert abs(int(values["skew_ns"])) <= 16_700_000
     _, message, health = node.health()
     assert message.startswith("streaming at ")
     assert health["left_format"] == "Y16 64x48 at 30 Hz from fake grabber"
@@ -151,6 +151,13 @@ def test_a_lost_eye(start, eventually, right):
     assert "no camera has a control port" in answer.message
 
 
+def test_frames_without_partner_are_an_error_until_there_are_pairs(start, eventually, right):
+    node = start(pairing__tolerance_ms=0.0)
+    eventually(lambda: "frames found no partner, 0 pairs did" in node.health()[1], node.said, 30.0)
+    assert node.health()[0] == ERROR
+    assert node.heard["right/image_raw"] == []
+
+
 def test_drops_and_unknown_stamps_are_warned_of(start, eventually, left):
     left.control.buffer_flags = 0
     node = start()
@@ -196,7 +203,7 @@ def test_the_ready_settings_start_the_node(start, eventually, left, right, name)
         str(REPOSITORY / "config" / f"stereo_capture_{name}.yaml"),
         grabbers__left__pixel_format="Y16",
         grabbers__right__pixel_format="Y16",
-        pairing__tolerance_ms=16.0,
+        pairing__tolerance_ms=16.7,
     )
     eventually(lambda: len(node.heard["left/image_raw"]) > 3, node.said, limit_s=30.0)
     assert node.node.config.left_calibration.startswith("file:///")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import time
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def _take_many(stream):
 
 
 def open_descriptors():
+    gc.collect()
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
