@@ -90,11 +90,12 @@ class OdometryState:
         """Nothing was measured: coast on the last twist, up to where that is worth nothing."""
         unseen_s = self._status.unseen_s(self._now) - self._step_s
         status = self._status.unmeasured(self._now)
+        unknown = coasting_covariance(unseen_s, self._step_s)
         if status is TrackingStatus.GAP:
-            self.pose = self.pose.moved(
-                inverse(self.prior.predict(self._step_s)),
-                coasting_covariance(unseen_s, self._step_s),
-            )
+            self.pose = self.pose.moved(inverse(self.prior.predict(self._step_s)), unknown)
+        elif status is TrackingStatus.LOST:
+            # The pose stays where it was lost, less and less sure, for the recovery to go on from.
+            self.pose = self.pose.moved(np.eye(4), unknown)
         return self._result(status, stats, reason)
 
     @property
@@ -106,16 +107,16 @@ class OdometryState:
         common = {"stats": stats, "reason": reason, "reset_counter": self._status.reset_counter}
         if status is TrackingStatus.LOST:
             return OdometryResult(self._now, status, None, None, **common)  # type: ignore[arg-type]
-        twist_covariance = self._twist_covariance
+        twist_covariance = self._twist_covariance.copy()
         if status is TrackingStatus.GAP:
             unseen_s = self._status.unseen_s(self._now)
-            twist_covariance = twist_covariance + coasting_twist_covariance(unseen_s)
+            twist_covariance += coasting_twist_covariance(unseen_s)
         return OdometryResult(
             self._now,
             status,
-            self.pose.T_world_rig,
-            self.pose.covariance,
-            twist=np.zeros(6) if self.prior.twist is None else self.prior.twist,
+            self.pose.T_world_rig.copy(),
+            self.pose.covariance.copy(),
+            twist=np.zeros(6) if self.prior.twist is None else self.prior.twist.copy(),
             twist_covariance=twist_covariance,
             **common,  # type: ignore[arg-type]
         )
