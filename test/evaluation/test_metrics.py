@@ -290,7 +290,13 @@ def test_lengths_of_known_paths():
 
 
 def test_starts_are_a_second_apart_and_closer_in_short_recordings(flight, rng):
-    for n, rate_hz, stride in ((2000, 30.0, 30), (1000, 10.0, 10), (51, 10.0, 2), (5, 10.0, 1)):
+    for n, rate_hz, stride in (
+        (2000, 30.0, 30),
+        (1000, 10.0, 10),
+        (100, 10.0, 4),
+        (51, 10.0, 2),
+        (5, 10.0, 1),
+    ):
         truth = flight(rng, n=n, rate_hz=rate_hz)
         assert start_stride(compare(truth, truth)) == stride
 
