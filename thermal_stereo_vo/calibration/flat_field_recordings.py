@@ -161,7 +161,7 @@ def _from_npz(file: Path) -> FlatRecording:
     try:
         with np.load(file, allow_pickle=False) as archive:
             fields: dict[str, Any] = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
+    except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile):
         raise CalibrationError(f"{file} is damaged or no .npz file: leave it out") from None
     for name in ("frames", "fpa_kelvin"):
         if name not in fields:

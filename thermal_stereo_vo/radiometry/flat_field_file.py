@@ -63,10 +63,8 @@ def load_flat_field(path: str | Path) -> FlatFieldCalibration:
         )
     try:
         with np.load(path, allow_pickle=False) as archive:
-            if not hasattr(archive, "files"):
-                raise ValueError("no archive")
             fields = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile):
+    except (ValueError, TypeError, OSError, EOFError, KeyError, zipfile.BadZipFile):
         raise CalibrationError(
             f"{path} is damaged or no .npz file: copy it again, or calibrate again"
         ) from None

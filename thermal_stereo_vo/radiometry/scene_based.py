@@ -32,13 +32,19 @@ class SceneBasedConfig:
 
     enabled: bool = setting(False, "Learn and remove the fixed pattern that is left in flight.")
     rate: float = setting(
-        0.2, "Part of a pixel's error taken over at each view.", minimum=0.0, maximum=1.0
+        0.05,
+        "Part of a pixel's error taken over at each view; the first views count for more.",
+        minimum=0.0,
+        maximum=1.0,
     )
     stripe_rate: float = setting(
-        0.3, "Part of a column's or row's error taken over at each view.", minimum=0.0, maximum=1.0
+        0.08,
+        "Part of a column's or row's error taken over at each view; the first count for more.",
+        minimum=0.0,
+        maximum=1.0,
     )
     shading_rate: float = setting(
-        0.03, "Part of the smooth shading taken over at each view.", minimum=0.0, maximum=1.0
+        0.01, "Part of the smooth shading taken over at each view.", minimum=0.0, maximum=1.0
     )
     window_px: int = setting(
         11, "Side of the surroundings a pixel is compared with.", unit="px", minimum=3, maximum=63
@@ -111,10 +117,10 @@ class SceneBasedCorrection:
         if not known or (epoch != self._epoch and not self._still_fits(image)):
             self._begin(image.shape)
         self._epoch = epoch
-        if settled:
-            self._learn(image)
         out = np.empty(image.shape, image.dtype)
         subtract(image, self._offset, float(np.iinfo(image.dtype).max), out)
+        if settled:
+            self._learn(image)
         return out
 
     def _begin(self, shape: tuple[int, ...]) -> None:
@@ -158,7 +164,7 @@ class SceneBasedCorrection:
         across = cv2.blur(corrected, (config.stripe_window_px, 1))
         along = cv2.blur(corrected, (1, config.stripe_window_px))
         sample = np.abs(corrected[::4, ::4] - around[::4, ::4])
-        limit = 3.0 * float(np.median(sample)) + 0.2
+        limit = 1.5 * float(np.median(sample)) + 0.2
         level = float(np.median(around[::8, ::8]))
         columns = np.zeros((2, corrected.shape[1]))
         rows = np.zeros((2, corrected.shape[0]))
@@ -171,13 +177,18 @@ class SceneBasedCorrection:
             level,
             config.gate_counts,
             limit,
-            config.rate,
+            self._rate(config.rate),
             self._offset,
             columns,
             rows,
         )
-        self._offset += np.float32(config.stripe_rate) * _means(columns, corrected.shape[0])
-        self._offset += np.float32(config.stripe_rate) * _means(rows, corrected.shape[1])[:, None]
+        stripe_rate = np.float32(self._rate(config.stripe_rate))
+        self._offset += stripe_rate * _means(columns, corrected.shape[0])
+        self._offset += stripe_rate * _means(rows, corrected.shape[1])[:, None]
+
+    def _rate(self, lasting: float) -> float:
+        """A running mean over the first views, then the lasting rate."""
+        return max(lasting, 1.0 / (self.views + 4)) if lasting > 0 else 0.0
 
     def _learn_shading(self, corrected: Map) -> None:
         if self._config.shading_rate == 0:
