@@ -184,8 +184,12 @@ def test_an_eye_that_stays_away_no_longer_holds_the_mapping(rng):
 def test_a_correction_that_moves_the_counts_starts_the_mapping_anew(rng):
     gain = AutomaticGain(AgcConfig(damping=1))
     gain.process(rig(background(rng)))
-    frame = gain.process(rig(background(rng, offset=300), stamp_ns=1, epoch=1))
-    assert 90 < shown(frame).mean() < 165
+    frame = gain.process(rig(background(rng, offset=90), stamp_ns=1, epoch=1))
+    assert shown(frame).mean() == pytest.approx(127, abs=6)
+    waiting = AutomaticGain(AgcConfig(damping=1))
+    waiting.process(rig(background(rng)))
+    frame = waiting.process(rig(background(rng, offset=90), stamp_ns=1))
+    assert shown(frame).mean() > 180
 
 
 def test_a_picture_all_white_under_the_old_mapping_is_not_waited_for(rng):

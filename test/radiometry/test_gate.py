@@ -237,6 +237,25 @@ class TestOffsetStep:
         ]
         assert [decision.epoch for decision in decisions] == [0] * 30 + [1] * 30
 
+    def test_a_step_that_keeps_the_pattern_is_the_scene(self, small_scene, as_raw: AsRaw, rng):
+        """A cloud opens: everything gets warmer, every pixel keeps its own noise and pattern."""
+        pattern = 4.0 * rng.standard_normal(small_scene.shape)
+        gate = FrameGate()
+        for k in range(60):
+            counts = small_scene.clean(0.1 * k) + pattern + (40.0 if k >= 30 else 0.0)
+            gate.process(as_raw(small_scene.noisy(counts), k))
+        assert list(gate.events) == []
+
+    def test_something_large_before_the_lens_is_the_scene(self, small_scene, as_raw: AsRaw, rng):
+        """A warm thing covers eleven twelfths of the view at once."""
+        gate = FrameGate()
+        thing = 60.0 + 10.0 * rng.standard_normal(small_scene.shape)
+        thing[: small_scene.shape[0] // 12] = 0.0
+        for k in range(60):
+            counts = small_scene.clean(0.1 * k) + (thing if k >= 30 else 0.0)
+            gate.process(as_raw(small_scene.noisy(counts), k))
+        assert list(gate.events) == []
+
     def test_a_small_step_is_drift(self, small_scene, as_raw: AsRaw, rng):
         gate = FrameGate()
         images = self.images(small_scene, 5.0, rng)
@@ -378,8 +397,10 @@ class TestFault:
         assert len(gate.events) == 2
 
     def test_less_noise_for_good_is_no_freeze(self, small_scene, as_raw: AsRaw):
+        """A frozen picture keeps its grain; this one has lost it."""
+        small_scene.noise_counts = 6.0
         images = flight(small_scene, 30, 0.0)
-        small_scene.noise_counts = 0.5
+        small_scene.noise_counts = 1.0
         images += flight(small_scene, 60, 0.0)
         gate = FrameGate()
         decisions = run(gate, [as_raw(image, k) for k, image in enumerate(images)])
