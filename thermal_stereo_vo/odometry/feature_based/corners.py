@@ -20,12 +20,6 @@ class CornerConfig:
     cell_px: int = setting(
         40, "Side of the cells that share the points.", unit="px", minimum=8, maximum=500
     )
-    quality: float = setting(
-        0.002,
-        "Least corner strength as a share of the strongest.",
-        minimum=0.0,
-        maximum=1.0,
-    )
     block_px: int = setting(
         7, "Side of the window of the structure tensor.", unit="px", minimum=3, maximum=31
     )
@@ -41,18 +35,17 @@ def find_corners(
     """(N, 2) corners, strongest first within each cell, in cells that are not yet full.
 
     ``image`` (H, W) float32; ``occupied_px`` (M, 2) points already tracked, which fill their cells
-    and keep new ones at a distance.
+    and keep new ones at a distance.  There is no threshold: contrast changes with weather and one
+    hot object outshines a street; what is only noise fails to match the other eye.
     """
     strength = cv2.cornerMinEigenVal(image, config.block_px, ksize=3)
     height, width = image.shape
     rows, columns = -(-height // config.cell_px), -(-width // config.cell_px)
     per_cell = max(1, round(config.points / (rows * columns)))
-    threshold = np.float32(config.quality * float(strength.max()))
     everywhere = np.ones((1, 1), np.bool_)
     everywhere.flags.writeable = False
     corners: NDArray[np.int64] = pick_corners(
         strength,
-        threshold,
         np.ascontiguousarray(occupied_px, dtype=np.float64).reshape(-1, 2),
         everywhere if mask is None else mask,
         config.cell_px,
@@ -64,7 +57,7 @@ def find_corners(
 
 @njit(cache=True, nogil=True)
 def pick_corners(  # type: ignore[no-untyped-def]
-    strength, threshold, occupied, mask, cell_px, per_cell, border
+    strength, occupied, mask, cell_px, per_cell, border
 ):
     """Local maxima of ``strength`` (H, W), at most ``per_cell`` a cell minus those occupied."""
     height, width = strength.shape
@@ -85,7 +78,7 @@ def pick_corners(  # type: ignore[no-untyped-def]
     for r in range(rows):
         for c in range(columns):
             for _ in range(max(room[r * columns + c], 0)):
-                best, bx, by = threshold, -1, -1
+                best, bx, by = np.float32(0.0), -1, -1
                 for y in range(max(r * cell_px, border), min((r + 1) * cell_px, height - border)):
                     line = strength[y]
                     for x in range(

@@ -197,7 +197,7 @@ class KeyframeWindow:
         """Take a frame in, the oldest keyframe out when there is no room.
 
         ``relative_covariance`` (6, 6) is that of the frame's left perturbation given the newest
-        keyframe; the first keyframe has none but its own.  ``observed`` (N, 4) is where it saw ``points``.
+        keyframe; the first has none but its own.  ``observed`` (N, 4) is where it saw ``points``.
         Returns the (M, 2) left pixels of those points that are still in the window.
         """
         if len(self.order) == self._room:

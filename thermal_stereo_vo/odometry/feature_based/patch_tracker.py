@@ -39,7 +39,7 @@ class TrackingConfig:
         10, "Most iterations of an alignment on each pyramid level.", minimum=1, maximum=100
     )
     min_correlation: float = setting(
-        0.75, "Least correlation of an aligned patch.", minimum=0.0, maximum=1.0
+        0.65, "Least correlation of an aligned patch.", minimum=0.0, maximum=1.0
     )
     row_tolerance_px: float = setting(
         1.5, "Largest row difference of the eyes.", unit="px", minimum=0.1, maximum=20.0
@@ -55,7 +55,7 @@ class TrackingConfig:
         0.1, "Least noise that is assumed.", unit="px", minimum=0.001, maximum=5.0
     )
     radial_trust: float = setting(
-        0.25,
+        0.5,
         "Tangent of the angle from the optical axis at which the residual calibration error is as "
         "large as the noise of a feature; points further out weigh less. 0 trusts all alike.",
         minimum=0.0,

@@ -53,13 +53,13 @@ class KeyframeConfig:
     """When a frame becomes a keyframe, and how keyframes are adjusted."""
 
     inlier_share: float = setting(
-        0.7,
+        0.75,
         "A keyframe is due when fewer of the newest keyframe's points are still tracked.",
         minimum=0.0,
         maximum=1.0,
     )
     parallax_px: float = setting(
-        25.0,
+        15.0,
         "A keyframe is due when points have moved this far by translation.",
         unit="px",
         minimum=1.0,
