@@ -121,9 +121,10 @@ def match_loops(
         config.wide_motion_radius_px if T_previous_current is None else config.motion_radius_px
     )
     left, right = current.left, current.right
+    shift_px = camera.cx_right - camera.cx
     partner_r, bits_lr = _leg(
         left,
-        _row_windows(left.pixels, config, towards_right=True),
+        _row_windows(left.pixels, config, shift_px, towards_right=True),
         right,
         current.right_grid,
         current.size,
@@ -149,7 +150,7 @@ def match_loops(
 
     partner_pl, bits = _leg(
         _take(previous.right, i_pr),
-        _row_windows(previous.right.pixels[i_pr], config, towards_right=False),
+        _row_windows(previous.right.pixels[i_pr], config, -shift_px, towards_right=False),
         previous.left,
         previous.left_grid,
         previous.size,
@@ -214,13 +215,20 @@ def _take(features: Features, index: NDArray[np.int64]) -> Features:
 
 
 def _row_windows(
-    pixels: NDArray[np.float32], config: LoopMatchingConfig, *, towards_right: bool
+    pixels: NDArray[np.float32],
+    config: LoopMatchingConfig,
+    shift_px: float,
+    *,
+    towards_right: bool,
 ) -> NDArray[np.float32]:
-    """(N, 4) search bands along the row: a point lies further left in the right image."""
+    """(N, 4) search bands along the row: a point lies further left in the right image.
+
+    ``shift_px`` is where a point at infinity lies in the other image, relative to this one.
+    """
     near, far = config.min_disparity_px, config.max_disparity_px
     low, high = (-far, -near) if towards_right else (near, far)
     tolerance = config.row_tolerance_px
-    x, y = pixels[:, 0], pixels[:, 1]
+    x, y = pixels[:, 0] + shift_px, pixels[:, 1]
     return np.stack([x + low, x + high, y - tolerance, y + tolerance], axis=1).astype(np.float32)
 
 
