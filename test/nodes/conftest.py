@@ -80,9 +80,11 @@ def textured_ramp() -> TexturedRamp:
     return TexturedRamp(np.random.default_rng(5))
 
 
-@pytest.fixture(scope="session")
-def ramp_bag(tmp_path_factory: pytest.TempPathFactory, textured_ramp: TexturedRamp) -> Path:
-    """A bag of 24 pairs at 10 Hz of a rig that flies and turns before a textured ramp."""
+PAIRS = 24
+
+
+def write_ramp_bag(path: Path, ramp: TexturedRamp, *, blind: range = range(0)) -> None:
+    """A rig that flies and turns before the ramp at 10 Hz; the right eye misses some images."""
     from thermal_stereo_vo.core.camera_info import infos_from_calibration
     from thermal_stereo_vo.outputs.bag_writer import BagWriter
     from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
@@ -90,17 +92,17 @@ def ramp_bag(tmp_path_factory: pytest.TempPathFactory, textured_ramp: TexturedRa
     rng = np.random.default_rng(6)
     raw = raw_calibration()
     infos = infos_from_calibration(with_rectification(raw, RectificationConfig())[0])
-    path = tmp_path_factory.mktemp("recording") / "ramp"
     with BagWriter(path) as bag:
-        for i in range(24):
+        for i in range(PAIRS):
             stamp_ns = 1_700_000_000_000_000_000 + i * 100_000_000
             T_world_rig = exp_se3([0.05 * i, 0.01 * i, 0.08 * i, 0.002 * i, -0.004 * i, 0.003 * i])
             for eye, mounted in raw.cameras.items():
-                image = textured_ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
+                if eye == RIGHT and i in blind:
+                    continue
+                image = ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
                 noisy = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
                 bag.write_image(f"/{eye}/image_raw", stamp_ns, noisy, f"{eye}_optical")
                 bag.write_camera_info(f"/{eye}/camera_info", stamp_ns, infos[eye], f"{eye}_optical")
-    return path
 
 
 class Ros:
@@ -196,3 +198,9 @@ def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
             executor.shutdown()
             node.destroy_node()
             rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def write_bag(textured_ramp: TexturedRamp) -> Callable[..., None]:
+    """``write_bag(path, blind=range)``: the flight before the ramp as a bag."""
+    return lambda path, **options: write_ramp_bag(path, textured_ramp, **options)

@@ -155,6 +155,20 @@ def test_odometry_goes_on_through_trouble(ros, textured_ramp) -> None:
     assert node.poll() is None
 
 
+def test_recordings_wait_for_the_late_eye(ros, textured_ramp) -> None:
+    """One eye's topic may be discovered later: with process_all no pair is torn apart."""
+    rig = FakeRectifier(ros, textured_ramp)
+    ros.start("stereo_odometry_node", process_all=True)
+    rig.wait_until_listening()
+    for eye in EYES:
+        for step in range(12):
+            rig.publish(1_000_000_000 + step * PERIOD_NS, {eye: rig.seen(eye, step)})
+    ros.spin_until(lambda: len(rig.statuses) >= 12, "a status for every pair")
+    statuses = [message.status[0].values[0].value for message in rig.statuses]
+    assert statuses == ["INITIALISING"] + 11 * ["TRACKING"]
+    assert 0.85 < rig.last_x_m() < 0.91
+
+
 def test_a_calibration_no_stereo_can_use_is_told(ros, textured_ramp) -> None:
     """Zero baseline and exchanged eyes are said in the diagnostics; the node stays alive."""
     messages: list[str] = []

@@ -64,13 +64,18 @@ class RectificationNode(runtime.BaseNode[RectificationNodeConfig]):
             eye: self.create_publisher(
                 Image,
                 f"{eye}/image_rect",
-                runtime.IMAGES_OUT,
+                runtime.IMAGES_ALL if self.config.process_all else runtime.IMAGES_OUT,
                 qos_overriding_options=runtime.overridable(),
             )
             for eye in EYES
         }
         self._images = ImageInput(
-            self, "image_raw", self.config.pairing, self._on_pair, self.get_logger().warning
+            self,
+            "image_raw",
+            self.config.pairing,
+            self.config.process_all,
+            self._on_pair,
+            self.get_logger().warning,
         )
         calibration = CalibrationInput(self, self._on_calibration)
         self.watch_inputs(calibration.topics)
@@ -79,9 +84,7 @@ class RectificationNode(runtime.BaseNode[RectificationNodeConfig]):
     def _follow_listeners(self) -> None:
         listeners = all(self._out[eye].get_subscription_count() > 0 for eye in EYES)
         if listeners and self._rectifier is not None and not self._images.is_open:
-            self._images.open(
-                runtime.IMAGES_ALL if self.config.process_all else runtime.IMAGES_NEWEST
-            )
+            self._images.open()
             self.watch_inputs(self._images.topics)
         elif not listeners and self._images.is_open:
             self._images.close()

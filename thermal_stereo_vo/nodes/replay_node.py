@@ -27,8 +27,9 @@ from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.datasets.base import Dataset
 from thermal_stereo_vo.datasets.registry import SourceOptions, open_dataset, require_calibration
 from thermal_stereo_vo.nodes import conversions, runtime
-from thermal_stereo_vo.nodes.stereo_input import EYES
+from thermal_stereo_vo.nodes.stereo_input import EYES, patient
 from thermal_stereo_vo.outputs.ros_fields import OK, DiagnosticFields
+from thermal_stereo_vo.stereo.pairing import PairingConfig, StereoPairer
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
 
 SILENCE_S = 60.0
@@ -58,8 +59,10 @@ class ReplayNodeConfig:
         minimum=0.0,
         maximum=100.0,
     )
-    in_flight: int = setting(
-        6, "Pairs on their way at rate 0; more than pairing.max_waiting.", minimum=2, maximum=100
+    in_flight: int = setting(4, "Pairs on their way at rate 0.", minimum=1, maximum=40)
+    pairing: PairingConfig = group(
+        PairingConfig,
+        "As in the nodes that listen: which images make a pair to wait for at rate 0.",
     )
     subscribers: int = setting(
         1, "Subscribers that each image must have before the start.", minimum=0, maximum=10
@@ -84,6 +87,8 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
         self._dataset, self._infos = self._open()
         self._sent = 0
         self._stamp_ns = 0
+        # Pairs as the listeners will make them, so that no answer is awaited that cannot come.
+        self._pairer: StereoPairer[RawFrame] = StereoPairer(patient(self.config.pairing))
         self._unanswered: deque[int] = deque()
         self._answer = threading.Condition()
         self._closing = threading.Event()
@@ -96,7 +101,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
             eye: self.create_publisher(
                 Image,
                 f"{eye}/image_raw",
-                runtime.IMAGES_OUT,
+                runtime.IMAGES_ALL,
                 qos_overriding_options=runtime.overridable(),
             )
             for eye in EYES
@@ -130,14 +135,13 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
                 first_ns = frame.stamp_ns if first_ns is None else first_ns
                 if self.config.rate > 0:
                     self._wait_until_due(start_s, first_ns, frame.stamp_ns)
-                elif frame.camera == EYES[0]:
+                else:
                     self._wait_for_answers(self.config.in_flight - 1)
                 if self._closing.is_set():
                     return
                 self._send(frame)
             if self.config.rate == 0:
-                # A last image without partner may never be answered.
-                self._wait_for_answers(0, patience_s=2.0, strict=False)
+                self._wait_for_answers(0)
             for publisher in self._image_out.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
             self.get_logger().info(
@@ -166,29 +170,25 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
                 return
             self._closing.wait(min(CLOCK_PERIOD_S, (stamp_ns - now_ns) * 1e-9 / rate))
 
-    def _wait_for_answers(
-        self, allowed: int, *, patience_s: float = SILENCE_S, strict: bool = True
-    ) -> None:
+    def _wait_for_answers(self, allowed: int) -> None:
         with self._answer:
             while len(self._unanswered) > allowed and not self._closing.is_set():
                 before = len(self._unanswered)
-                self._answer.wait(patience_s)
+                self._answer.wait(SILENCE_S)
                 if len(self._unanswered) == before and not self._closing.is_set():
-                    if strict:
-                        raise DatasetError(
-                            f"no answer on {self.resolve_topic_name('status')} for {patience_s:.0f}"
-                            f" s after the pair at {self._unanswered[0]} ns: is the odometry "
-                            "running? rate 0 needs it; else choose a rate above 0"
-                        )
-                    return
+                    raise DatasetError(
+                        f"no answer on {self.resolve_topic_name('status')} for {SILENCE_S:.0f} s "
+                        f"after the pair at {self._unanswered[0]} ns: is the odometry running with "
+                        "process_all? rate 0 needs it; else choose a rate above 0"
+                    )
 
     def _send(self, frame: RawFrame) -> None:
         eye = frame.camera
         if self.config.rate == 0:
             self._tell_time(frame.stamp_ns)
-            if eye == EYES[0]:
-                with self._answer:
-                    self._unanswered.append(frame.stamp_ns)
+            pairs = list(self._pairer.push(EYES.index(eye), frame))
+            with self._answer:
+                self._unanswered.extend(pair.stamp_ns for pair in pairs)
         self._send_info(eye, frame.stamp_ns)
         self._image_out[eye].publish(
             conversions.image_to_msg(frame.image, frame.stamp_ns, f"{eye}_optical")

@@ -38,10 +38,12 @@ RELIABLE = QoSProfile(depth=10)
 """``/odom``, ``status``, camera_info: every message, in order."""
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Who comes late still receives the last ones."""
-IMAGES_OUT = QoSProfile(depth=20)
+IMAGES_OUT = QoSProfile(depth=5)
 """Reliable, so that both kinds of subscription connect."""
 IMAGES_NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-IMAGES_ALL = QoSProfile(depth=100)
+PATIENT = 50
+"""Images of one eye that may wait for the other where none may be lost."""
+IMAGES_ALL = QoSProfile(depth=PATIENT)
 
 
 def steady_clock() -> Clock:

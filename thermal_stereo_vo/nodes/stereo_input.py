@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.core.camera_info import CameraInfoFields
 
 EYES = (LEFT, RIGHT)
+
+
+def patient(pairing: PairingConfig) -> PairingConfig:
+    """The same pairs, only decided later where an eye is silent."""
+    return replace(pairing, max_waiting=max(pairing.max_waiting, runtime.PATIENT))
 
 
 class CalibrationInput:
@@ -57,6 +62,9 @@ class CalibrationInput:
 class ImageInput:
     """``left|right/<name>`` as pairs, from ``open`` to ``close``.
 
+    With ``process_all`` every image is asked for, reliably, and may wait long for its partner: one
+    eye's first images can come late, as each topic is discovered on its own.
+
     A stamp that comes again is passed over; one that goes back starts the pairing anew and tells
     ``on_restart``.  ``masks`` go with the frames of their eye.
     """
@@ -66,15 +74,17 @@ class ImageInput:
         node: runtime.BaseNode[Any],
         name: str,
         pairing: PairingConfig,
+        process_all: bool,
         on_pair: Callable[[Pair[RadiometricFrame]], None],
         on_restart: Callable[[str], None],
     ) -> None:
         self._node = node
-        self._pairing = pairing
+        self._process_all = process_all
         self._on_pair = on_pair
         self._on_restart = on_restart
         self._guard = runtime.StampGuard()
-        self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(pairing)
+        self._pairing = pairing
+        self._pairer = self._new_pairer()
         self._received = dict.fromkeys(EYES, 0)
         self._repeated = 0
         self._subscriptions: list[Any] = []
@@ -86,8 +96,9 @@ class ImageInput:
         """Whether images are asked for."""
         return bool(self._subscriptions)
 
-    def open(self, qos: QoSProfile) -> None:
+    def open(self) -> None:
         """Ask for images."""
+        qos = runtime.IMAGES_ALL if self._process_all else runtime.IMAGES_NEWEST
         self._subscriptions = [
             self._node.create_subscription(
                 Image,
@@ -109,7 +120,7 @@ class ImageInput:
     def restart(self, pairing: PairingConfig | None = None) -> None:
         """Forget the images that wait for a partner; any stamp may follow."""
         self._pairing = pairing or self._pairing
-        self._pairer = StereoPairer(self._pairing)
+        self._pairer = self._new_pairer()
         self._guard.forget()
 
     def counters(self) -> tuple[tuple[str, str], ...]:
@@ -124,6 +135,9 @@ class ImageInput:
             ("right_alone", str(counters.second_alone)),
         )
 
+    def _new_pairer(self) -> StereoPairer[RadiometricFrame]:
+        return StereoPairer(patient(self._pairing) if self._process_all else self._pairing)
+
     def _on_image(self, eye: str, topic: str, message: Image) -> None:
         self._node.saw(topic)
         stamp_ns = conversions.stamp_from_msg(message.header.stamp)
@@ -132,7 +146,7 @@ class ImageInput:
             self._repeated += 1
             return
         if order is runtime.StampOrder.BACK:
-            self._pairer = StereoPairer(self._pairing)
+            self._pairer = self._new_pairer()
             self._on_restart(
                 f"the stamps of {self._node.resolve_topic_name(topic)} went back: a recording "
                 "started anew, or two senders publish on the topic"

@@ -62,7 +62,12 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         )
         self._worker = runtime.Worker(newest_only=not config.process_all, on_error=self.fail)
         self._images = ImageInput(
-            self, "image_rect", config.pairing, self._on_pair, self._start_again
+            self,
+            "image_rect",
+            config.pairing,
+            config.process_all,
+            self._on_pair,
+            self._start_again,
         )
         for eye in EYES:
             self.create_subscription(
@@ -99,8 +104,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         if all(self.count_publishers(topic) > 0 for topic in self._images.topics) and all(
             eye in self._images.masks or self.count_publishers(f"{eye}/mask") == 0 for eye in EYES
         ):
-            all_of_them = self.config.process_all
-            self._images.open(runtime.IMAGES_ALL if all_of_them else runtime.IMAGES_NEWEST)
+            self._images.open()
             self._opening.cancel()
 
     def _on_mask(self, eye: str, message: Image) -> None:
