@@ -13,6 +13,7 @@ NODES = [
     "rectification_node",
     "stereo_odometry_node",
     "replay_node",
+    "stereo_capture_node",
 ]
 
 

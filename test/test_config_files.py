@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,13 @@ FILES = sorted((REPOSITORY / "config").glob("*.yaml"))
 
 
 def node_configs() -> dict[str, type]:
+    """Name of the node -> its settings, for every node of the package."""
     pytest.importorskip("rclpy", reason="rclpy is not installed")
-    from thermal_stereo_vo.nodes.rectification_node import RectificationNode
-    from thermal_stereo_vo.nodes.replay_node import ReplayNode
-    from thermal_stereo_vo.nodes.stereo_odometry_node import StereoOdometryNode
+    from thermal_stereo_vo.nodes.runtime import BaseNode
 
-    return {n.NAME: n.CONFIG for n in (RectificationNode, ReplayNode, StereoOdometryNode)}
+    for path in (REPOSITORY / "thermal_stereo_vo" / "nodes").glob("*_node.py"):
+        importlib.import_module(f"thermal_stereo_vo.nodes.{path.stem}")
+    return {node.NAME: node.CONFIG for node in BaseNode.__subclasses__()}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
