@@ -10,6 +10,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
@@ -167,6 +168,24 @@ def test_recordings_wait_for_the_late_eye(ros, textured_ramp) -> None:
     statuses = [message.status[0].values[0].value for message in rig.statuses]
     assert statuses == ["INITIALISING"] + 11 * ["TRACKING"]
     assert 0.85 < rig.last_x_m() < 0.91
+
+
+def test_a_clock_that_goes_back_starts_the_odometry_anew(ros) -> None:
+    health: list[DiagnosticArray] = []
+    ros.node.create_subscription(DiagnosticArray, "/diagnostics", health.append, 10)
+    clock = ros.node.create_publisher(Clock, "/clock", 10)
+    ros.start("stereo_odometry_node", use_sim_time=True)
+    ros.spin_until(lambda: clock.get_subscription_count() > 0, "the node to follow the clock")
+
+    now_s = [100]
+    ros.node.create_timer(0.1, lambda: clock.publish(conversions.clock_to_msg(now_s[0] * 10**9)))
+    for now_s[0] in (100, 160):
+        before = len(health)
+        ros.spin_until(lambda: len(health) > before, "a report")  # noqa: B023
+    now_s[0] = 20
+    ros.spin_until(lambda: (_counter(health[-1], "resets") or 0) > 0, "the reset")
+    assert _counter(health[-1], "resets") == 1, "a jump ahead is no reason"
+    assert "the clock went back by 140.000 s" in ros.logs()
 
 
 def test_a_calibration_no_stereo_can_use_is_told(ros, textured_ramp) -> None:
