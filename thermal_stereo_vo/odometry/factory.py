@@ -26,6 +26,12 @@ class OdometryConfig:
     )
     solver: str = setting(DOUBLE_DOGLEG, "Minimiser of the frame-to-frame motion.", choices=SOLVERS)
     seed: int = setting(0, "Seed of every random choice.", minimum=0, maximum=2**31 - 1)
+    threads: int = setting(
+        2,
+        "Threads that share the work of a frame; the results are the same.",
+        minimum=1,
+        maximum=2,
+    )
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
@@ -37,11 +43,26 @@ def create_odometry(config: OdometryConfig) -> Odometry:
     Raises ConfigError for a window of one keyframe, which could adjust nothing.
     """
     if config.window == 0:
-        return FrameToFrameOdometry(config.feature, config.status, config.solver, config.seed)
+        return FrameToFrameOdometry(
+            config.feature, config.status, config.solver, config.seed, config.threads
+        )
     if config.window == 1:
         raise ConfigError(
             "odometry.window = 1 leaves nothing to optimise: give 0 (frame to frame) or 2 and more"
         )
     return WindowedOdometry(
-        config.windowed, config.feature, config.status, config.solver, config.window, config.seed
+        config.windowed,
+        config.feature,
+        config.status,
+        config.solver,
+        config.window,
+        config.seed,
+        config.threads,
     )
+
+
+def describe(config: OdometryConfig) -> str:
+    """The method in a few words, for titles and tables."""
+    if config.window == 0:
+        return f"{config.method}, frame to frame, {config.solver.replace('_', ' ')}"
+    return f"{config.method}, window of {config.window} keyframes"

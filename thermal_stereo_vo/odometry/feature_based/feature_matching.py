@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,13 +42,13 @@ class FeatureConfig:
 class FeatureMatcher:
     """Fast-Hessian + FREAK on both eyes, loop matching, RANSAC and one of three solvers."""
 
-    def __init__(self, config: FeatureConfig, solver: str, seed: int) -> None:
+    def __init__(self, config: FeatureConfig, solver: str, worker: Executor, seed: int) -> None:
         self._config = config
         self._solver = solver
         self._seed = seed
         self._detectors = {role: FastHessian(config.detector) for role in (LEFT, RIGHT)}
         self._describers = {role: FreakDescriber(config.description) for role in (LEFT, RIGHT)}
-        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="right-eye")
+        self._worker = worker
         self.reset()
 
     def reset(self) -> None:
@@ -56,7 +56,7 @@ class FeatureMatcher:
         self._rng = np.random.default_rng(self._seed)
 
     def extract(self, left: CameraView, right: CameraView) -> StereoFeatures:
-        """Describe the interest points of both eyes, each in a thread of its own.
+        """Describe the interest points of both eyes; the worker takes the right one.
 
         Raises FrameError for a view without its 8-bit form.
         """

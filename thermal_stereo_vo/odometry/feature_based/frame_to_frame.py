@@ -21,6 +21,7 @@ from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
+from thermal_stereo_vo.odometry.workers import make_worker
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,18 @@ class FrameToFrameOdometry:
 
     requirements = Requirements(roles=(LEFT, RIGHT), rectified_pair=True, display=True)
 
-    def __init__(self, config: FeatureConfig, status: StatusConfig, solver: str, seed: int) -> None:
-        self._settings = (config, status, solver, seed)
+    def __init__(
+        self,
+        config: FeatureConfig,
+        status: StatusConfig,
+        solver: str,
+        seed: int,
+        threads: int = 2,
+    ) -> None:
+        self._settings = (config, status, solver, seed, threads)
         self._status_config = status
-        self._matcher = FeatureMatcher(config, solver, seed)
+        worker = make_worker(threads, "odometry")
+        self._matcher = FeatureMatcher(config, solver, worker, seed)
         self._timer = StageTimer()
         self.reset(np.eye(4))
 

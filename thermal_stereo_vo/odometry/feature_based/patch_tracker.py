@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,9 +89,9 @@ class Tracked:
 
 
 class PatchTracker:
-    """Aligns patches coarse to fine, the two halves of them on two threads."""
+    """Aligns patches coarse to fine; the worker takes one half of them."""
 
-    def __init__(self, config: TrackingConfig, worker: ThreadPoolExecutor, seed: int) -> None:
+    def __init__(self, config: TrackingConfig, worker: Executor, seed: int) -> None:
         self._config = config
         self._worker = worker
         self._seed = seed

@@ -10,7 +10,7 @@ gap, a fast turn), descriptors find the way back to the newest keyframe.
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +43,7 @@ from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
+from thermal_stereo_vo.odometry.workers import make_worker
 
 MOST_MISSES = 3
 """A point that should be in sight but is not found this many times in a row is given up."""
@@ -101,14 +102,15 @@ class WindowedOdometry:
         solver: str,
         keyframes: int,
         seed: int,
+        threads: int = 2,
     ) -> None:
-        self._settings = (config, features, status, solver, keyframes, seed)
+        self._settings = (config, features, status, solver, keyframes, seed, threads)
         self._config = config
         self._status_config = status
         self._room = keyframes
-        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
+        self._worker = make_worker(threads, "odometry")
         self._tracker = PatchTracker(config.tracking, self._worker, seed)
-        self._matcher = FeatureMatcher(features, solver, seed)
+        self._matcher = FeatureMatcher(features, solver, self._worker, seed)
         self._timer = StageTimer()
         self.reset(np.eye(4))
 

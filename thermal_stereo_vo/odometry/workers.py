@@ -1,0 +1,36 @@
+"""Who does the work that may run beside the main thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class InlineExecutor(Executor):
+    """Does each job at once, in the thread that hands it in.
+
+    >>> InlineExecutor().submit(max, 3, 5).result()
+    5
+    """
+
+    def submit(self, job: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Run the job; what it raises is raised again by ``result``."""
+        future: Future[Result] = Future()
+        try:
+            future.set_result(job(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def make_worker(threads: int, name: str) -> Executor:
+    """One more thread called ``name`` where two may be used, else none.
+
+    Jobs run one after the other in the order they were handed in, so that results are the same.
+    """
+    if threads == 1:
+        return InlineExecutor()
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
