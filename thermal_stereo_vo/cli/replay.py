@@ -37,8 +37,11 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.datasets.trajectories import find_ground_truth
     from thermal_stereo_vo.evaluation.metrics import evaluate
     from thermal_stereo_vo.evaluation.report import metrics_report, timing_report, trajectory_report
+    from thermal_stereo_vo.odometry.factory import describe
     from thermal_stereo_vo.outputs.bag_writer import ResultBag
+    from thermal_stereo_vo.outputs.gate_events import GateEvents
     from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
+    from thermal_stereo_vo.outputs.snapshot import Snapshot
     from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
     from thermal_stereo_vo.replay import replay
     from thermal_stereo_vo.stereo.rectification import Rectifier
@@ -59,8 +62,12 @@ def run(args: argparse.Namespace) -> int:
         bag = ResultBag(
             folder.path / "result.mcap", default_T_base_rig() if T_base_rig is None else T_base_rig
         )
+        snapshot = Snapshot((dataset.instants() or 20) // 2)
+        events = GateEvents()
         with progress(dataset.instants(), "pair", quiet=args.quiet) as step:
-            replayed = replay(dataset, calibration, config, [files, bag], on_progress=step)
+            replayed = replay(
+                dataset, calibration, config, [files, bag, snapshot, events], on_progress=step
+            )
         folder.write_json("timing.json", replayed.timing.as_dict())
         truth = dataset.ground_truth()
         if given is not None:
@@ -83,8 +90,12 @@ def run(args: argparse.Namespace) -> int:
                 files.trajectory,
                 truth,
                 metrics,
-                title=f"{dataset.name}: {config.odometry.method}, {config.odometry.solver}",
+                title=f"{dataset.name}: {describe(config.odometry)}",
+                left_image=snapshot.left_image,
+                matches_image=snapshot.matches_image,
             )
+        for sentence in events.sentences:
+            say(f"gate: {sentence}")
         say(timing_report(replayed.timing))
         folder.write_json(
             "run.json",
@@ -95,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
                 source_reason=reason,
                 command_line=sys.argv,
                 T_rig_rectified=rectifier.T_rig_rectified,
+                gate_events=events.sentences,
                 statuses={status.value: count for status, count in files.status_counts.items()},
             ),
         )
