@@ -142,7 +142,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
                 self._send(frame)
             if self.config.rate == 0:
                 self._wait_for_answers(0)
-            for publisher in self._image_out.values():
+            for publisher in (*self._image_out.values(), self._clock_out):
                 publisher.wait_for_all_acked(Duration(seconds=5))
             self.get_logger().info(
                 f"played {self._sent} images in {time.monotonic() - start_s:.1f} s"
@@ -171,11 +171,13 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
             self._closing.wait(min(CLOCK_PERIOD_S, (stamp_ns - now_ns) * 1e-9 / rate))
 
     def _wait_for_answers(self, allowed: int) -> None:
+        def progress() -> bool:
+            return len(self._unanswered) < before or self._closing.is_set()
+
         with self._answer:
             while len(self._unanswered) > allowed and not self._closing.is_set():
                 before = len(self._unanswered)
-                self._answer.wait(SILENCE_S)
-                if len(self._unanswered) == before and not self._closing.is_set():
+                if not self._answer.wait_for(progress, SILENCE_S):
                     raise DatasetError(
                         f"no answer on {self.resolve_topic_name('status')} for {SILENCE_S:.0f} s "
                         f"after the pair at {self._unanswered[0]} ns: is the odometry running with "
