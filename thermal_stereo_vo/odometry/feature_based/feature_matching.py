@@ -74,6 +74,14 @@ class FeatureMatcher:
         """Close loops between two frames; without a prediction (4, 4) the search is wide."""
         return match_loops(current, reference, camera, T_reference_current, self._config.matching)
 
+    def sees_enough(self, features: StereoFeatures, camera: StereoCamera) -> bool:
+        """Whether both eyes agree on enough points to measure a motion from this frame on.
+
+        The loop from a frame to itself closes where they do.
+        """
+        loops = match_loops(features, features, camera, np.eye(4), self._config.matching)
+        return len(loops) >= self._config.motion.min_inliers
+
     def measure(
         self,
         matches: LoopMatches,

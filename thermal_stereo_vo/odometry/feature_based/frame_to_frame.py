@@ -17,6 +17,7 @@ from thermal_stereo_vo.odometry.feature_based.loop_matching import LoopMatches, 
 from thermal_stereo_vo.odometry.feature_based.motion import Motion
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
+from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
@@ -45,9 +46,11 @@ class FrameToFrameOdometry:
         solver: str,
         seed: int,
         threads: int = 2,
+        gyro: GyroIntegrator | None = None,
     ) -> None:
         self._settings = (config, status, solver, seed, threads)
         self._status_config = status
+        self._gyro = gyro
         worker = make_worker(threads, "odometry")
         self._matcher = FeatureMatcher(config, solver, worker, seed)
         self._timer = StageTimer()
@@ -62,7 +65,7 @@ class FrameToFrameOdometry:
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
         """Forget all images and go on from this pose."""
         self._matcher.reset()
-        self._state = OdometryState(self._status_config, T_world_rig)
+        self._state = OdometryState(self._status_config, T_world_rig, self._gyro)
         self._reference: _Reference | None = None
         self._map = PointCloud.empty()
 
@@ -81,11 +84,19 @@ class FrameToFrameOdometry:
             features = self._matcher.extract(left, right)
         stats = TrackStats(features=len(features.left))
         if self._reference is None:
-            self._reference = _Reference(features, self._state.pose, frame.stamp_ns)
-            result = self._state.started(stats)
+            result = self._start(frame.stamp_ns, features, camera, stats)
         else:
             result = self._track(frame.stamp_ns, features, self._reference, left, camera, stats)
         return with_stages(result, self._timer.take())
+
+    def _start(
+        self, stamp_ns: int, features: StereoFeatures, camera: StereoCamera, stats: TrackStats
+    ) -> OdometryResult:
+        with self._timer.stage("match"):
+            if not self._matcher.sees_enough(features, camera):
+                return self._state.unmeasured(stats, "too few points with a depth to start from")
+        self._reference = _Reference(features, self._state.pose, stamp_ns)
+        return self._state.started(stats)
 
     def _track(
         self,
@@ -100,13 +111,15 @@ class FrameToFrameOdometry:
         elapsed_s = (stamp_ns - reference.stamp_ns) * 1e-9
         found = None
         if state.prior.twist is not None:
-            found = self._measure(features, reference, camera, state.prior.predict(elapsed_s))
+            motion = state.predicted_motion(elapsed_s)
+            found = self._measure(features, reference, camera, motion)
         if found is None:
             found = self._measure(features, reference, camera, None)
         if found is None:
             result = state.unmeasured(stats, "too few matches agree on a motion")
-            if result.status is TrackingStatus.LOST:
-                # Nothing of the old reference is in sight any more: go on from here.
+            never_moved = state.prior.twist is None and self._matcher.sees_enough(features, camera)
+            if result.status is TrackingStatus.LOST or never_moved:
+                # Nothing of the old reference is in sight any more, or never was: go on from here.
                 self._reference = _Reference(features, state.pose, stamp_ns)
                 state.prior.forget()
             return result
