@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from .textured_room import TexturedRoom
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED_DATA = REPOSITORY.parent / "shared" / "data"
 
@@ -32,3 +34,9 @@ def recording():
         return folder
 
     return find
+
+
+@pytest.fixture(scope="session")
+def room() -> TexturedRoom:
+    """A small world that is drawn exactly, for tests that need images of a moving stereo rig."""
+    return TexturedRoom()
