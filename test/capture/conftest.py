@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import select
@@ -196,6 +195,7 @@ class LiveNode:
             self.listener.create_subscription(
                 kind, topic, self.heard[topic].append, runtime.IMAGES_ALL
             )
+        self._closing = threading.Event()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._executor.add_node(self.listener)
@@ -232,17 +232,17 @@ class LiveNode:
             self.listener.destroy_client(client)
 
     def close(self) -> None:
-        self._rclpy.try_shutdown()
+        self._closing.set()
         self._thread.join()
+        self._executor.shutdown()
         self.node.close()
         self.node.destroy_node()
         self.listener.destroy_node()
+        self._rclpy.try_shutdown()
 
     def _spin(self) -> None:
-        from rclpy.executors import ExternalShutdownException
-
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+        while not self._closing.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
 
 
 @pytest.fixture
