@@ -15,9 +15,10 @@ from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import group
 from thermal_stereo_vo.core.errors import FrameError
 from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame, RigFrame
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.results import OdometryResult
 from thermal_stereo_vo.observers import Observer, ObserverList, StageTimer
-from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
+from thermal_stereo_vo.odometry.factory import OdometryConfig, create_gyro, create_odometry
 from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
 from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, ThermalFrontEnd
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
@@ -45,7 +46,10 @@ class Pipeline:
         observers: Sequence[Observer] = (),
     ) -> None:
         self._config = config
-        self.odometry = create_odometry(config.odometry)
+        self.rectifier = Rectifier(calibration, config.rectification)
+        R_rig_imu = self.rectifier.rectified_calibration.R_rig_imu
+        self.gyro = create_gyro(config.odometry, R_rig_imu)
+        self.odometry = create_odometry(config.odometry, self.gyro)
         self._roles = self.odometry.requirements.roles
         self._observers = ObserverList(observers)
         self.front_ends = {
@@ -53,7 +57,6 @@ class Pipeline:
             for role in self._roles
         }
         self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(config.pairing)
-        self.rectifier = Rectifier(calibration, config.rectification)
         self._gain = AutomaticGain(config.agc)
         self._timer = StageTimer()
 
@@ -69,17 +72,28 @@ class Pipeline:
         Raises FrameError for a camera that the method does not use, OutOfOrderError for stamps
         that do not increase.
         """
-        if raw.camera not in self._roles:
-            raise FrameError(
-                f"camera '{raw.camera}' is not one of {', '.join(self._roles)}, which the method "
-                "needs"
-            )
-        with self._timer.stage("front end"):
-            frame = self.front_ends[raw.camera].process(raw)
+        frame = self._correct(raw)
         if frame is None:
-            return  # a repeat: the link is faster than the sensor
+            return
         for pair in self._pairer.push(self._roles.index(raw.camera), frame):
             yield self.process(pair)
+
+    def push_pair(self, pair: Pair[RawFrame]) -> OdometryResult | None:
+        """Feed raw images that were paired elsewhere, as a node does that drops whole pairs.
+
+        Returns None when neither is news.  Raises what ``push`` raises.
+        """
+        first, second = (
+            None if raw is None else self._correct(raw) for raw in (pair.first, pair.second)
+        )
+        if first is None and second is None:
+            return None
+        return self.process(Pair(first, second))
+
+    def push_imu(self, sample: ImuSample) -> None:
+        """Feed one inertial measurement, before the frames that come after it."""
+        if self.gyro is not None:
+            self.gyro.push(sample.stamp_ns, sample.rate_rad_s)
 
     def flush(self) -> Iterator[OdometryResult]:
         """The source has ended: frames that still wait for a partner go on alone."""
@@ -92,6 +106,8 @@ class Pipeline:
             front_end.reset()
         self._pairer = StereoPairer(self._config.pairing)
         self._gain.reset()
+        if self.gyro is not None:
+            self.gyro.reset()
         self.odometry.reset(T_world_rig)
 
     def close(self) -> None:
@@ -106,6 +122,16 @@ class Pipeline:
             with self._timer.stage("agc"):
                 frame = self._gain.process(frame)
         return self._estimate(frame)
+
+    def _correct(self, raw: RawFrame) -> RadiometricFrame | None:
+        """Linear counts; None for a repeat, where the link is faster than the sensor."""
+        if raw.camera not in self._roles:
+            raise FrameError(
+                f"camera '{raw.camera}' is not one of {', '.join(self._roles)}, which the method "
+                "needs"
+            )
+        with self._timer.stage("front end"):
+            return self.front_ends[raw.camera].process(raw)
 
     def _estimate(self, frame: RigFrame) -> OdometryResult:
         self._observers.on_rig_frame(frame)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.results import OdometryResult
-from thermal_stereo_vo.datasets.base import Dataset
+from thermal_stereo_vo.datasets.base import Dataset, WithImu
 from thermal_stereo_vo.evaluation.timing import FrameTimer, Timing
 from thermal_stereo_vo.observers import Observer
 from thermal_stereo_vo.pipeline import Config, Pipeline
@@ -34,6 +35,7 @@ def replay(
 
     Kernels are warm before the first frame.  Reading and decoding is not part of the times;
     ``on_progress`` is called after each rig frame.  Observers are closed also after an error.
+    Inertial measurements go before the frames that they reach up to.
     """
     pipeline = Pipeline(config, calibration, observers)
     timer = FrameTimer()
@@ -41,7 +43,10 @@ def replay(
     try:
         pipeline.warm_up()
         wall_ms = cpu_ms = 0.0
+        inertial = _ImuFeed(dataset if pipeline.gyro is not None else None)
         for raw in dataset.frames():
+            for sample in inertial.up_to(raw.stamp_ns):
+                pipeline.push_imu(sample)
             wall, cpu = time.perf_counter(), time.process_time()
             found = list(pipeline.push(raw))
             wall_ms += (time.perf_counter() - wall) * 1e3
@@ -57,3 +62,20 @@ def replay(
     finally:
         pipeline.close()
     return Replayed(tuple(results), timer.summary())
+
+
+class _ImuFeed:
+    """The inertial measurements of a recording, read alongside its frames."""
+
+    def __init__(self, dataset: Dataset | None) -> None:
+        self._samples = dataset.imu() if isinstance(dataset, WithImu) else iter(())
+        self._last_ns: int | None = None
+
+    def up_to(self, stamp_ns: int) -> Iterator[ImuSample]:
+        """Those not yet given, up to the first one that does not come before ``stamp_ns``."""
+        while self._last_ns is None or self._last_ns < stamp_ns:
+            sample = next(self._samples, None)
+            if sample is None:
+                return
+            self._last_ns = sample.stamp_ns
+            yield sample

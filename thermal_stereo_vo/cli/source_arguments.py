@@ -28,6 +28,9 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--left-topic", metavar="TOPIC", help="image topic of the left eye")
     parser.add_argument("--right-topic", metavar="TOPIC", help="image topic of the right eye")
     parser.add_argument(
+        "--imu-topic", metavar="TOPIC", help="inertial topic in a bag, for odometry.gyro.enabled"
+    )
+    parser.add_argument(
         "--ground-truth-topic", metavar="TOPIC", help="topic of the true poses in a bag"
     )
     parser.add_argument(
@@ -47,6 +50,7 @@ def source_options(args: argparse.Namespace, overrides: tuple[str, ...] = ()) ->
     return SourceOptions(
         left_topic=args.left_topic,
         right_topic=args.right_topic,
+        imu_topic=args.imu_topic,
         ground_truth_topic=args.ground_truth_topic,
         calibration=args.calibration,
         rate_hz=args.rate,

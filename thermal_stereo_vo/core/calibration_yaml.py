@@ -34,7 +34,7 @@ _CAMERA_KEYS = (
     "rectification",
     "projection",
 )
-_RIG_KEYS = ("rectified", "T_base_rig", "cameras")
+_RIG_KEYS = ("rectified", "T_base_rig", "T_rig_imu", "cameras")
 
 
 def read_text(path: Path) -> str:
@@ -110,6 +110,8 @@ def dump_rig(calibration: RigCalibration) -> str:
     document: dict[str, Any] = {"rectified": calibration.rectified}
     if calibration.T_base_rig is not None:
         document["T_base_rig"] = _rows(calibration.T_base_rig)
+    if calibration.T_rig_imu is not None:
+        document["T_rig_imu"] = _rows(calibration.T_rig_imu)
     document["cameras"] = {
         role: _camera_document(mounted) for role, mounted in calibration.cameras.items()
     }
@@ -127,12 +129,13 @@ def parse_rig(text: str, path: Path) -> RigCalibration:
     cameras = document.get("cameras")
     if not isinstance(cameras, Mapping) or not cameras:
         raise CalibrationError(f"{path} names no cameras: give them under 'cameras:'")
-    T_base_rig = document.get("T_base_rig")
+    T_base_rig, T_rig_imu = document.get("T_base_rig"), document.get("T_rig_imu")
     return RigCalibration(
         {str(role): _parse_camera(role, value, path) for role, value in cameras.items()},
         rectified=bool(document.get("rectified", False)),
         origin=str(path),
         T_base_rig=None if T_base_rig is None else _motion(T_base_rig, path, "T_base_rig"),
+        T_rig_imu=None if T_rig_imu is None else _motion(T_rig_imu, path, "T_rig_imu"),
     )
 
 

@@ -155,13 +155,14 @@ class RigCalibration:
 
     ``rectified`` says that the images already are row-aligned and free of distortion.  ``origin``
     names the file or recording, for messages.  ``T_base_rig`` maps rig to ``base_link``
-    coordinates when the calibration knows it.
+    coordinates when the calibration knows it, ``T_rig_imu`` those of an IMU to the rig's.
     """
 
     cameras: Mapping[str, RigCamera]
     rectified: bool = False
     origin: str = ""
     T_base_rig: NDArray[np.float64] | None = None
+    T_rig_imu: NDArray[np.float64] | None = None
 
     def __getitem__(self, role: str) -> RigCamera:
         try:
@@ -180,6 +181,17 @@ class RigCalibration:
     def baseline_m(self) -> float:
         """Distance of the right camera from the left along the left camera's x axis, signed."""
         return float(self.T_a_b(LEFT, RIGHT)[0, 3])
+
+    @property
+    def R_rig_imu(self) -> NDArray[np.float64]:
+        """(3, 3) from axes of the IMU to the rig's; without ``T_rig_imu`` its axes are the base's.
+
+        A rig that does not know its base looks forward.
+        """
+        if self.T_rig_imu is not None:
+            return self.T_rig_imu[:3, :3]
+        T_base_rig = default_T_base_rig() if self.T_base_rig is None else self.T_base_rig
+        return T_base_rig[:3, :3].T
 
     def check_stereo(self) -> None:
         """Refuse a pair that no stereo method can work with.

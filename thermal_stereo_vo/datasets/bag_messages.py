@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields
 from thermal_stereo_vo.core.errors import CalibrationError, DatasetError, FrameError
@@ -19,6 +20,7 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 IMAGE_TYPES = (RAW_IMAGE, COMPRESSED_IMAGE)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_TYPES = (ODOMETRY, POSE_STAMPED)
@@ -98,6 +100,14 @@ def pose_of(message: Any, kind: str, topic: str) -> tuple[Matrix, str]:
     if not np.all(np.isfinite(rotation)) or not np.all(np.isfinite(position_m)):
         raise DatasetError(f"a pose of {topic} has no rotation or is not finite: leave it out")
     return make_transform(rotation, position_m), child
+
+
+def angular_rate_of(message: Any) -> NDArray[np.float64] | None:
+    """(3,) rad/s of an ``Imu``, or None for one that measures none (first covariance -1)."""
+    if message.angular_velocity_covariance[0] == -1.0:
+        return None
+    w = message.angular_velocity
+    return np.array([w.x, w.y, w.z])
 
 
 def telemetry_of(message: Any, camera: str) -> Telemetry | None:

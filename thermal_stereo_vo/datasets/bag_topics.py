@@ -82,6 +82,25 @@ def choose_truth_topic(topics: Sequence[str], wanted: str | None = None) -> str 
     return named[0] if named else None
 
 
+def choose_imu_topic(topics: Sequence[str], wanted: str | None = None) -> str | None:
+    """The inertial topic among ``topics``: the wanted one, else the one with the shortest name.
+
+    >>> choose_imu_topic(["/mavros/imu/data_raw", "/mavros/imu/data"])
+    '/mavros/imu/data'
+
+    Raises DatasetError when the wanted one is not there.
+    """
+    if wanted is None:
+        return min(topics, key=lambda topic: (len(topic), topic), default=None)
+    found = _find(topics, wanted)
+    if found is None:
+        raise DatasetError(
+            f"the bag has no inertial topic '{wanted}' (inertial topics there: "
+            f"{', '.join(sorted(topics)) or 'none'}): correct --imu-topic"
+        )
+    return found
+
+
 def _named(
     topics: Sequence[str], left: str | None, right: str | None
 ) -> tuple[dict[str, str], str]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.frames import RawFrame
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.trajectory import Trajectory
 
 
@@ -30,3 +31,11 @@ class Dataset(Protocol):
 
     def instants(self) -> int | None:
         """How many instants (frames of the first camera) there are, or None when unknown."""
+
+
+@runtime_checkable
+class WithImu(Protocol):
+    """A recording that may hold an inertial sensor too."""
+
+    def imu(self) -> Iterator[ImuSample]:
+        """All measurements in order of their stamps, none where there is no such sensor."""

@@ -16,13 +16,16 @@ from thermal_stereo_vo.core.camera_info import CameraInfoFields, calibration_fro
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration, default_T_base_rig
 from thermal_stereo_vo.core.errors import DatasetError, ThermalStereoError
 from thermal_stereo_vo.core.frames import RawFrame, Telemetry
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.core.transforms import Matrix
 from thermal_stereo_vo.datasets.bag_messages import (
     CAMERA_INFO,
     DIAGNOSTICS,
     IMAGE_TYPES,
+    IMU,
     POSE_TYPES,
+    angular_rate_of,
     camera_info_of,
     image_of,
     pose_of,
@@ -32,6 +35,7 @@ from thermal_stereo_vo.datasets.bag_messages import (
 from thermal_stereo_vo.datasets.bag_topics import (
     camera_info_topic,
     choose_image_topics,
+    choose_imu_topic,
     choose_truth_topic,
     is_rectified_name,
 )
@@ -65,6 +69,9 @@ class RosbagDataset:
             self.cameras = tuple(self.topics)
             self._count = reader.topics[self.topics[self.cameras[0]]].msgcount
             self._diagnostics = [topic for topic, kind in kinds.items() if kind == DIAGNOSTICS]
+            self._imu_topic = choose_imu_topic(
+                [topic for topic, kind in kinds.items() if kind == IMU], options.imu_topic
+            )
             self._truth_topic = choose_truth_topic(
                 [topic for topic, kind in kinds.items() if kind in POSE_TYPES],
                 options.ground_truth_topic,
@@ -95,6 +102,18 @@ class RosbagDataset:
         if T_base_rig is None:
             T_base_rig = default_T_base_rig()
         return read_bag_poses(self._path, topic, T_base_rig)
+
+    def imu(self) -> Iterator[ImuSample]:
+        """The angular rates of the inertial topic; none without one."""
+        if self._imu_topic is None:
+            return
+        last_ns = -1
+        with open_bag_reader(self._path) as reader:
+            for _, log_ns, message in read_messages(reader, [self._imu_topic], self._path):
+                stamp_ns, rate_rad_s = stamp_of(message, log_ns), angular_rate_of(message)
+                if rate_rad_s is not None and stamp_ns > last_ns:
+                    last_ns = stamp_ns
+                    yield ImuSample(stamp_ns, rate_rad_s)
 
     def _frames_of(self, role: str) -> Iterator[RawFrame]:
         topic = self.topics[role]

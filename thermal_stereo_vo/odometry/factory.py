@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedConfig, WindowedOdometry
+from thermal_stereo_vo.odometry.gyro import GyroConfig, GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Odometry
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
@@ -33,18 +37,24 @@ class OdometryConfig:
         maximum=2,
     )
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
+    gyro: GyroConfig = group(GyroConfig, "Guidance by an IMU.")
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
 
 
-def create_odometry(config: OdometryConfig) -> Odometry:
-    """Build the method that the settings name.
+def create_gyro(config: OdometryConfig, R_rig_imu: NDArray[np.float64]) -> GyroIntegrator | None:
+    """The guidance by an IMU with axes ``R_rig_imu`` (3, 3), or None when it is not wanted."""
+    return GyroIntegrator(config.gyro, R_rig_imu) if config.gyro.enabled else None
+
+
+def create_odometry(config: OdometryConfig, gyro: GyroIntegrator | None = None) -> Odometry:
+    """Build the method that the settings name; a ``gyro`` guides its predictions.
 
     Raises ConfigError for a window of one keyframe, which could adjust nothing.
     """
     if config.window == 0:
         return FrameToFrameOdometry(
-            config.feature, config.status, config.solver, config.seed, config.threads
+            config.feature, config.status, config.solver, config.seed, config.threads, gyro
         )
     if config.window == 1:
         raise ConfigError(
@@ -58,6 +68,7 @@ def create_odometry(config: OdometryConfig) -> Odometry:
         config.window,
         config.seed,
         config.threads,
+        gyro,
     )
 
 

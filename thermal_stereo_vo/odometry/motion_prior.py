@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.transforms import exp_se3, log_se3
+from thermal_stereo_vo.core.transforms import exp_se3, log_se3, log_so3
 
 # What a quadrotor may do unseen: linear and angular acceleration (1 sigma).
 ACCELERATION_M_S2 = 3.0
@@ -22,11 +22,23 @@ class ConstantVelocity:
         """Learn from a measured motion (4, 4)."""
         self.twist = log_se3(T_before_after) / duration_s
 
-    def predict(self, duration_s: float) -> NDArray[np.float64]:
-        """(4, 4) T_before_after of the next ``duration_s``; identity while nothing is known."""
-        if self.twist is None:
-            return np.eye(4)
-        return exp_se3(self.twist * duration_s)
+    def predict(
+        self, duration_s: float, rotation: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """(4, 4) T_before_after of the next ``duration_s``; identity while nothing is known.
+
+        ``rotation`` (3, 3) from axes after to axes before takes the place of the twist's own where
+        it was felt by other means.
+        """
+        step = np.zeros(6) if self.twist is None else self.twist * duration_s
+        if rotation is not None:
+            step[3:] = log_so3(rotation)
+        return exp_se3(step)
+
+    def turn(self, rotation: NDArray[np.float64], duration_s: float) -> None:
+        """Learn how the rig turned (3, 3) while nothing else was measured."""
+        if self.twist is not None:
+            self.twist[3:] = log_so3(rotation) / duration_s
 
     def forget(self) -> None:
         """Drop the twist."""

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus, TrackStats
-from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.core.transforms import inverse, make_transform
+from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.motion_prior import (
     ConstantVelocity,
     coasting_covariance,
@@ -23,10 +24,17 @@ class OdometryState:
     """Where the rig is thought to be.
 
     ``pose`` is the estimate at the last frame, measured or predicted; while LOST it stays where the
-    rig was lost, so that the pose goes on from there after a recovery.
+    rig was lost, so that the pose goes on from there after a recovery.  A ``gyro`` guides the
+    rotation of predictions wherever it has samples.
     """
 
-    def __init__(self, config: StatusConfig, T_world_rig: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        config: StatusConfig,
+        T_world_rig: NDArray[np.float64],
+        gyro: GyroIntegrator | None = None,
+    ) -> None:
+        self._gyro = gyro
         self.pose = PoseEstimate.start(T_world_rig)
         self.prior = ConstantVelocity()
         self._status = StatusMachine(config)
@@ -61,8 +69,12 @@ class OdometryState:
     def predicted(self) -> NDArray[np.float64]:
         """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
         if self.is_lost:
-            return self.pose.T_world_rig
-        return self.pose.T_world_rig @ self.prior.predict(self._step_s)
+            return self.pose.T_world_rig @ _turned(self._felt(self._step_s))
+        return self.pose.T_world_rig @ self.predicted_motion(self._step_s)
+
+    def predicted_motion(self, elapsed_s: float) -> NDArray[np.float64]:
+        """(4, 4) T_before_after of the last ``elapsed_s`` before the frame just taken."""
+        return self.prior.predict(elapsed_s, self._felt(elapsed_s))
 
     def started(self, stats: TrackStats, reason: str = "first frame") -> OdometryResult:
         """The first usable frame: its pose is the start."""
@@ -82,6 +94,9 @@ class OdometryState:
         motion over the last ``elapsed_s``, from which the twist follows.
         """
         self.pose = pose
+        if self._gyro is not None:
+            since_ns = self._now - round(elapsed_s * 1e9)
+            self._gyro.learn_bias(since_ns, self._now, inverse(T_after_before)[:3, :3])
         self.prior.update(inverse(T_after_before), elapsed_s)
         self._twist_covariance = covariance / elapsed_s**2
         return self._result(self._status.measured(self._now, stats.inliers), stats, "")
@@ -91,17 +106,29 @@ class OdometryState:
         unseen_s = self._status.unseen_s(self._now) - self._step_s
         status = self._status.unmeasured(self._now)
         unknown = coasting_covariance(unseen_s, self._step_s)
+        felt = self._felt(self._step_s)
+        if felt is not None and self._gyro is not None:
+            unknown[3:, 3:] = self._gyro.coasting_variance(unseen_s, self._step_s) * np.eye(3)
         if status is TrackingStatus.GAP:
-            self.pose = self.pose.moved(inverse(self.prior.predict(self._step_s)), unknown)
+            motion = self.prior.predict(self._step_s, felt)
+            self.pose = self.pose.moved(inverse(motion), unknown)
+            if felt is not None:
+                self.prior.turn(felt, self._step_s)
         elif status is TrackingStatus.LOST:
             # The pose stays where it was lost, less and less sure, for the recovery to go on from.
-            self.pose = self.pose.moved(np.eye(4), unknown)
+            self.pose = self.pose.moved(inverse(_turned(felt)), unknown)
         return self._result(status, stats, reason)
 
     @property
     def _now(self) -> int:
         assert self._stamp_ns is not None
         return self._stamp_ns
+
+    def _felt(self, elapsed_s: float) -> NDArray[np.float64] | None:
+        """(3, 3) rotation of the last ``elapsed_s`` (axes after to before) by the gyro, or None."""
+        if self._gyro is None or elapsed_s <= 0.0:
+            return None
+        return self._gyro.rotation_between(self._now - round(elapsed_s * 1e9), self._now)
 
     def _result(self, status: TrackingStatus, stats: TrackStats, reason: str) -> OdometryResult:
         common = {"stats": stats, "reason": reason, "reset_counter": self._status.reset_counter}
@@ -111,6 +138,9 @@ class OdometryState:
         if status is TrackingStatus.GAP:
             unseen_s = self._status.unseen_s(self._now)
             twist_covariance += coasting_twist_covariance(unseen_s)
+            if self._gyro is not None and self._felt(self._step_s) is not None:
+                twist_covariance[3:] = twist_covariance[:, 3:] = 0.0
+                twist_covariance[3:, 3:] = self._gyro.rate_variance(self._step_s) * np.eye(3)
         return OdometryResult(
             self._now,
             status,
@@ -120,6 +150,11 @@ class OdometryState:
             twist_covariance=twist_covariance,
             **common,  # type: ignore[arg-type]
         )
+
+
+def _turned(rotation: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """(4, 4) a rotation on the spot; none at all where nothing was felt."""
+    return make_transform(np.eye(3) if rotation is None else rotation, np.zeros(3))
 
 
 def with_stages(result: OdometryResult, stage_ms: dict[str, float]) -> OdometryResult:

@@ -84,7 +84,7 @@ class Rectifier:
     @property
     def rectified_calibration(self) -> RigCalibration:
         """The rig that the rectified images obey, seen from the rectified left camera."""
-        T_base_rig = self._calibration.T_base_rig
+        T_base_rig, T_rig_imu = self._calibration.T_base_rig, self._calibration.T_rig_imu
         return RigCalibration(
             cameras={
                 role: RigCamera(self._cameras[role], self._T_rig_camera[role])
@@ -93,6 +93,7 @@ class Rectifier:
             rectified=True,
             origin=self._calibration.origin,
             T_base_rig=None if T_base_rig is None else T_base_rig @ self.T_rig_rectified,
+            T_rig_imu=None if T_rig_imu is None else inverse(self.T_rig_rectified) @ T_rig_imu,
         )
 
     def process(self, frame: RadiometricFrame, role: str) -> CameraView | None:
@@ -168,11 +169,12 @@ def with_rectification(
         R_left, R_right, P_left, P_right = _rectifying_transforms(calibration, config.alpha)
         cameras[LEFT] = replace(cameras[LEFT], rectification=R_left, projection=P_left)
         cameras[RIGHT] = replace(cameras[RIGHT], rectification=R_right, projection=P_right)
-    T_base_rig = calibration.T_base_rig
+    T_base_rig, T_rig_imu = calibration.T_base_rig, calibration.T_rig_imu
     completed = replace(
         calibration,
         cameras=cameras,
         T_base_rig=None if T_base_rig is None else T_base_rig @ T_rig_rectified,
+        T_rig_imu=None if T_rig_imu is None else T_rectified_rig @ T_rig_imu,
     )
     return completed, T_rig_rectified
 

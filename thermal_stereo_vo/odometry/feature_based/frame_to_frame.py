@@ -111,8 +111,7 @@ class FrameToFrameOdometry:
         elapsed_s = (stamp_ns - reference.stamp_ns) * 1e-9
         found = None
         if state.prior.twist is not None:
-            motion = state.predicted_motion(elapsed_s)
-            found = self._measure(features, reference, camera, motion)
+            found = self._measure(features, reference, camera, state.predicted_motion(elapsed_s))
         if found is None:
             found = self._measure(features, reference, camera, None)
         if found is None:

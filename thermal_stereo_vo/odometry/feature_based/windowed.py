@@ -40,6 +40,7 @@ from thermal_stereo_vo.odometry.feature_based.patch_tracker import (
 from thermal_stereo_vo.odometry.feature_based.stereo_points import find_stereo_points
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
+from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
@@ -103,10 +104,12 @@ class WindowedOdometry:
         keyframes: int,
         seed: int,
         threads: int = 2,
+        gyro: GyroIntegrator | None = None,
     ) -> None:
         self._settings = (config, features, status, solver, keyframes, seed, threads)
         self._config = config
         self._status_config = status
+        self._gyro = gyro
         self._room = keyframes
         self._worker = make_worker(threads, "odometry")
         self._tracker = PatchTracker(config.tracking, self._worker, seed)
@@ -129,7 +132,7 @@ class WindowedOdometry:
         self._finish_bundle_unused()
         self._matcher.reset()
         self._tracker.reset()
-        self._state = OdometryState(self._status_config, T_world_rig)
+        self._state = OdometryState(self._status_config, T_world_rig, self._gyro)
         self._window: KeyframeWindow | None = None
         self._keyframe: RigFrame | None = None
         self._keyframe_features: StereoFeatures | None = None
