@@ -1,4 +1,4 @@
-"""A simulated flight as a recording: ``sim:PRESET``."""
+"""A simulated run as a recording: ``sim:PRESET``."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from thermal_stereo_vo.simulation.simulation import Simulation
 
 
 class SimulatedDataset:
-    """A run that is rendered while it is read."""
+    """A run that is rendered while it is read; ``simulation`` knows the rest of the truth."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.name = simulation.preset.name
-        self.cameras = tuple(simulation.rig.cameras)
+        self.name = simulation.plan.preset
+        self.cameras = simulation.plan.roles
 
     def calibration(self) -> RigCalibration:
-        return self.simulation.rig
+        """The true calibration."""
+        return self.simulation.plan.rig
 
     def frames(self) -> Iterator[RawFrame]:
         return self.simulation.frames()
@@ -38,6 +39,8 @@ class SimulatedDataset:
 def open_simulated(preset: str, options: SourceOptions | None = None) -> SimulatedDataset:
     """The run of this name with the rate, length, seed and settings wished for.
 
+    The seed is that of the sensors' noise; ``world.seed`` and ``flight.seed`` are settings.
+
     Raises SimulationError for an unknown preset and ConfigError for unknown settings.
     """
     options = options or SourceOptions()
@@ -45,5 +48,5 @@ def open_simulated(preset: str, options: SourceOptions | None = None) -> Simulat
     if options.rate_hz is not None:
         config = replace(config, rate_hz=options.rate_hz)
     if options.length_m is not None:
-        config = replace(config, length_m=options.length_m)
+        config = replace(config, flight=replace(config.flight, length_m=options.length_m))
     return SimulatedDataset(Simulation(preset, config, options.seed))

@@ -51,6 +51,8 @@ class Material(IntEnum):
     POSTER = auto()
     BLACKBODY = auto()
     PAINTED_BOARD = auto()
+    MDF = auto()
+    HEATED_PANEL = auto()
 
 
 @dataclass(frozen=True)
@@ -242,5 +244,13 @@ SUBSTANCES: dict[Material, Substance] = {
         albedo=0.5, paint=Texture(0.8, 0.25, 6, 0.85, cell_m=(0.11, 0.07), cells=0.6),
     ),
     Material.BLACKBODY: Substance(1.0, passive=False, heated=True, albedo=0.05),
-    Material.PAINTED_BOARD: Substance(0.95, passive=False, heated=True, albedo=0.05),
+    Material.PAINTED_BOARD: Substance(
+        0.95, own_kelvin=1.0, passive=False, heated=True, heat=Texture(0.1, 0.2, 3), albedo=0.05,
+    ),
+    Material.MDF: Substance(
+        0.93, passive=False, heated=True, heat=Texture(0.15, 0.1, 4), albedo=0.4,
+    ),
+    Material.HEATED_PANEL: Substance(
+        0.95, passive=False, heated=True, heat=Texture(0.3, 0.15, 3), albedo=0.5,
+    ),
 }  # fmt: skip

@@ -23,6 +23,7 @@ Poses = Callable[[float], NDArray[np.float64]]
 """Time (s) -> (4, 4) T_map_camera."""
 
 _SLENDER_LIMITS_PX = (0.2, 1.2, 2.6)
+_FARTHEST_MOVER_M = 200.0
 
 
 class Lens:
@@ -109,11 +110,11 @@ class Renderer:
         T_map_camera = poses(time_s)
         rays = _rays(lens, poses, time_s, row_time_s)
         movers, moving = self._place_movers(time_s)
-        box = self._moving_box(lens.camera, T_map_camera, movers)
+        boxes = self._moving_boxes(lens.camera, T_map_camera, movers)
         thin = self._slender(lens.camera, T_map_camera)
-        if box is not None:
-            x0, y0, x1, y1 = box
-            thin[y0 // 2 : y1 // 2 + 1, x0 // 2 : x1 // 2 + 1] |= sampling.CORNERS
+        for x0, y0, x1, y1 in boxes:
+            part = thin[y0 // 2 : y1 // 2 + 1, x0 // 2 : x1 // 2 + 1]
+            np.maximum(part, sampling.CORNERS, out=part)
         hits = self._scratch(len(lens.grid))
         hits.triangle.fill(sampling.NOT_CAST)
         level = np.empty((height, width), np.uint8)
@@ -121,14 +122,14 @@ class Renderer:
         across = width + 1
         rows, columns = np.arange(0, height + 1, 2), np.arange(0, across, 2)
         points = (rows[:, None] * across + columns).ravel().astype(np.int32)
-        self._cast(hits, rays, points, moving, box)
+        self._cast(hits, rays, points, moving, boxes)
         sampling.refine_blocks(hits, level, thin)
         points = np.empty(len(lens.grid), np.int32)
         count = sampling.corner_points(hits, level, points)
-        self._cast(hits, rays, points[:count], moving, box)
+        self._cast(hits, rays, points[:count], moving, boxes)
         sampling.refine_pixels(hits, level)
         count = sampling.inner_points(level, points)
-        self._cast(hits, rays, points[:count], moving, box)
+        self._cast(hits, rays, points[:count], moving, boxes)
 
         radiance = np.zeros((height, width), np.float32)
         depth = np.empty((height, width), np.float32)
@@ -203,7 +204,7 @@ class Renderer:
         rays: Rays,
         points: NDArray[np.int32],
         moving: RayCaster | None,
-        box: tuple[int, int, int, int] | None,
+        boxes: NDArray[np.int64],
     ) -> None:
         origins = np.empty((len(points), 3), np.float32)
         directions = np.empty((len(points), 3), np.float32)
@@ -212,9 +213,9 @@ class Renderer:
         sampling.store_hits(
             hits, self._facets, points, met.triangle, 0, met.u, met.v, met.distance, False
         )
-        if moving is None or box is None:
+        if moving is None or len(boxes) == 0:
             return
-        inside = sampling.points_in_box(points, *rays.centres.shape[:2], *box)
+        inside = sampling.points_in_boxes(points, *rays.centres.shape[:2], boxes)
         if np.any(inside):
             met = moving.cast(origins[inside], directions[inside])
             first = self._facets.first_moving
@@ -223,30 +224,28 @@ class Renderer:
                 met.distance, True,
             )  # fmt: skip
 
-    def _moving_box(
+    def _moving_boxes(
         self, camera: Camera, T_map_camera: NDArray[np.float64], movers: NDArray[np.float64]
-    ) -> tuple[int, int, int, int] | None:
-        """Pixels x0, y0, x1, y1 that hold every mover in view, or None."""
+    ) -> NDArray[np.int64]:
+        """(N, 4) pixels x0, y0, x1, y1 that hold each mover in view."""
         boxes = []
         T_camera_map = inverse(T_map_camera)
         for T, (centre, radius) in zip(movers, self._spheres, strict=True):
             p = T_camera_map[:3, :3] @ (T[:3, :3] @ centre + T[:3, 3]) + T_camera_map[:3, 3]
-            if p[2] < -radius or np.linalg.norm(p) > 250.0:
+            if p[2] < -radius or np.linalg.norm(p) > _FARTHEST_MOVER_M:
                 continue
             if p[2] < 1.5 * radius:
-                return 0, 0, camera.width - 1, camera.height - 1
+                boxes.append((0, 0, camera.width - 1, camera.height - 1))
+                continue
             # Barrel distortion only draws points towards the middle, so the pinhole is an outer
             # bound of the far side; a margin covers the near one.
             reach = 1.3 * camera.fx * radius / (p[2] - radius) + 8.0
             x, y = camera.project(np.clip(p[None] / p[2], -1.5, 1.5))[0]
-            boxes.append((x - reach, y - reach, x + reach, y + reach))
-        if not boxes:
-            return None
-        low = np.floor(np.min(boxes, axis=0)[:2]).astype(int)
-        high = np.ceil(np.max(boxes, axis=0)[2:]).astype(int)
-        x0, y0 = max(0, int(low[0])), max(0, int(low[1]))
-        x1, y1 = min(camera.width - 1, int(high[0])), min(camera.height - 1, int(high[1]))
-        return (x0, y0, x1, y1) if x0 <= x1 and y0 <= y1 else None
+            x0, y0 = max(0, int(x - reach)), max(0, int(y - reach))
+            x1, y1 = min(camera.width - 1, int(x + reach)), min(camera.height - 1, int(y + reach))
+            if x0 <= x1 and y0 <= y1:
+                boxes.append((x0, y0, x1, y1))
+        return np.array(boxes, dtype=np.int64).reshape(-1, 4)
 
     def _slender(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> NDArray[np.uint8]:
         """(H / 2, W / 2): levels that slender parts ask for."""

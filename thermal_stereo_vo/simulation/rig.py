@@ -48,7 +48,7 @@ def tilted(down_rad: float) -> NDArray[np.float64]:
     return T_base_rig @ make_transform(exp_so3([-down_rad, 0.0, 0.0]), np.zeros(3))
 
 
-def stereo_rig(scale: float = 1.0, tilt_down_rad: float = 0.0) -> RigCalibration:
+def stereo_rig(scale: float = 1.0, tilt_down_deg: float = 0.0) -> RigCalibration:
     """Both thermal cameras; ``scale`` shrinks the images (and the lenses with them).
 
     The rig frame is that of the rectified left camera, as ``cv2.stereoRectify`` lays it.
@@ -65,7 +65,7 @@ def stereo_rig(scale: float = 1.0, tilt_down_rad: float = 0.0) -> RigCalibration
             RIGHT: RigCamera(right, T_rig_left @ inverse(_T_RIGHT_LEFT)),
         },
         origin="simulated stereo rig",
-        T_base_rig=tilted(tilt_down_rad),
+        T_base_rig=tilted(np.radians(tilt_down_deg)),
     )
 
 

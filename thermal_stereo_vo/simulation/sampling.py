@@ -97,11 +97,11 @@ def build_rays(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def points_in_box(
-    points: NDArray[np.int32], height: int, width: int, x0: int, y0: int, x1: int, y1: int
+def points_in_boxes(
+    points: NDArray[np.int32], height: int, width: int, boxes: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """(N,) which grid points touch the pixels x0..x1, y0..y1."""
-    inside = np.empty(len(points), np.bool_)
+    """(N,) which grid points touch the pixels x0, y0, x1, y1 of any of the boxes (K, 4)."""
+    inside = np.zeros(len(points), np.bool_)
     corners = (height + 1) * (width + 1)
     for n in range(len(points)):
         p = points[n]
@@ -111,7 +111,10 @@ def points_in_box(
             columns = width
         y = p // columns
         x = p - y * columns
-        inside[n] = x0 <= x <= x1 + 1 and y0 <= y <= y1 + 1
+        for k in range(len(boxes)):
+            if boxes[k, 0] <= x <= boxes[k, 2] + 1 and boxes[k, 1] <= y <= boxes[k, 3] + 1:
+                inside[n] = True
+                break
     return inside
 
 

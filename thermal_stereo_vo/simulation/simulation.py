@@ -1,4 +1,4 @@
-"""One simulated run: a preset made concrete, frame by frame."""
+"""A simulated run as a stream of frames, with everything that is known about it."""
 
 from __future__ import annotations
 
@@ -7,86 +7,141 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.frames import RawFrame
+from thermal_stereo_vo.core.cameras import VISIBLE
+from thermal_stereo_vo.core.frames import CameraView, RawFrame, RigFrame
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.core.transforms import inverse
-from thermal_stereo_vo.simulation.noise import random_lattice
-from thermal_stereo_vo.simulation.presets import find_preset
-from thermal_stereo_vo.simulation.render import Lens, Poses, Renderer
-from thermal_stereo_vo.simulation.rig import stereo_rig
+from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
+from thermal_stereo_vo.simulation.radiance_cache import cached_signals
+from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.schedule import (
+    Exposure,
+    camera_times,
+    corrections,
+    in_order,
+    instants_in,
+    stamp_ns,
+)
 from thermal_stereo_vo.simulation.settings import SimulationConfig
-from thermal_stereo_vo.simulation.shading import open_field, thermal_band
 from thermal_stereo_vo.simulation.thermal_camera import ThermalCamera
-from thermal_stereo_vo.simulation.thermal_field import Responsivity
-from thermal_stereo_vo.simulation.town import TownOptions, build_town
-from thermal_stereo_vo.simulation.weather import find_weather
-
-START_NS = 1_400_000_000_000_000_000
-"""Stamp of the first frame; any will do, but a stamp should look like one."""
-
-_ZERO_CELSIUS_KELVIN = 273.15
+from thermal_stereo_vo.simulation.thermal_drift import FpaTemperature
+from thermal_stereo_vo.simulation.visible_camera import VisibleCamera
 
 
 class Simulation:
-    """World, motion, rig and sensors of one run."""
+    """World, motion, rig and sensors of one run.
 
-    def __init__(self, preset: str, config: SimulationConfig, seed: int) -> None:
-        self.preset = find_preset(preset)
+    ``seed`` draws the noise of all sensors; world and flight have seeds of their own in the
+    settings, so that sensors can be tried again without rendering again.
+
+    Raises SimulationError for an unknown preset or a flight that cannot be flown.
+    """
+
+    def __init__(self, preset: str, config: SimulationConfig, seed: int = 0) -> None:
+        self.plan = plan_run(preset, config)
         self.config = config
         self.seed = seed
-        self.motion = self.preset.motion(config, np.random.default_rng([seed, 10]))
-        self.rig = stereo_rig(config.scale)
-        air = config.air_celsius
-        self.weather = find_weather(
-            config.weather, None if air is None else air + _ZERO_CELSIUS_KELVIN
+        self.instants = instants_in(self.plan.motion.duration_s, config)
+        self.duration_s = (self.instants - 1) / config.rate_hz
+        self._exposures = [
+            camera_times(config.timing, config.rate_hz, self.instants, camera, seed)
+            for camera in range(len(self.plan.roles))
+        ]
+
+    def fpa(self, camera: int) -> FpaTemperature:
+        """Temperature of the focal plane of one camera."""
+        return FpaTemperature.of(
+            self.plan.weather.air_kelvin, self.config.thermal, self.seed, camera
         )
 
-    @property
-    def instants(self) -> int:
-        return int(self.motion.duration_s * self.config.rate_hz) + 1
-
-    def time_s(self, index: int) -> float:
-        return index / self.config.rate_hz
-
-    def stamp_ns(self, index: int) -> int:
-        return START_NS + round(index * 1e9 / self.config.rate_hz)
-
-    def T_map_rig(self, time_s: float) -> NDArray[np.float64]:
-        T_base_rig = self.rig.T_base_rig
-        assert T_base_rig is not None
-        return self.motion.T_map_base(time_s) @ T_base_rig
-
-    def T_map_camera(self, role: str) -> Poses:
-        """Time (s) -> (4, 4) pose of one camera."""
-        T_rig_camera = self.rig[role].T_rig_camera
-        return lambda time_s: self.T_map_rig(time_s) @ T_rig_camera
+    def corrections_s(self, camera: int) -> tuple[float, ...]:
+        """Start times (s) of the flat-field corrections of one camera."""
+        return corrections(self.config.ffc, self.fpa(camera), self.duration_s, camera, self.seed)
 
     def ground_truth(self) -> Trajectory:
-        """Poses of the rig relative to the first."""
-        poses = np.array([self.T_map_rig(self.time_s(i)) for i in range(self.instants)])
-        stamps = np.array([self.stamp_ns(i) for i in range(self.instants)], dtype=np.int64)
+        """Poses of the rig at the frames of the first camera, relative to the first."""
+        first = self._exposures[0]
+        poses = np.array([self.plan.T_map_rig(exposure.time_s) for exposure in first])
+        stamps = np.array([stamp_ns(exposure.time_s) for exposure in first], dtype=np.int64)
         return Trajectory(stamps, inverse(poses[0]) @ poses)
 
     def frames(self) -> Iterator[RawFrame]:
-        path = np.array(
-            [self.motion.T_map_base(t)[:3, 3] for t in np.arange(0, self.motion.duration_s, 0.5)]
+        """All frames of all cameras in order of their stamps."""
+        sensors = [self._sensor(camera) for camera in range(len(self.plan.roles))]
+        kept = [e for e in in_order(self._exposures) if not e.dropped]
+        seen = [e for e in kept if not sensors[e.camera].blind(e)]
+        signals = cached_signals(self.plan, seen, self.instants)
+        try:
+            for exposure in kept:
+                sensor = sensors[exposure.camera]
+                signal = None if sensor.blind(exposure) else next(signals)
+                frame = sensor.frame(signal, exposure)
+                if frame is not None:
+                    yield frame
+        finally:
+            signals.close()
+
+    def _sensor(self, camera: int) -> _VisibleSensor | _ThermalSensor:
+        if self.plan.roles[camera] == VISIBLE:
+            return _VisibleSensor(self, camera)
+        return _ThermalSensor(self, camera)
+
+
+class _ThermalSensor:
+    """A thermal camera of the rig; 8-bit output goes through a gain control of its own."""
+
+    def __init__(self, simulation: Simulation, camera: int) -> None:
+        config, plan = simulation.config, simulation.plan
+        self._role = plan.roles[camera]
+        self._lens = plan.rig[self._role].camera
+        self._telemetry = config.thermal.telemetry
+        self._core = ThermalCamera(
+            config.thermal,
+            config.ffc,
+            (self._lens.height, self._lens.width),
+            simulation.fpa(camera),
+            simulation.corrections_s(camera),
+            (simulation.seed, 20, camera),
         )
-        scene = build_town(path, TownOptions(seed=1, weather=self.weather), self.weather.air_kelvin)
-        responsivity = Responsivity(self.config.thermal.counts_per_kelvin)
-        lattice = random_lattice(np.random.default_rng(3))
-        renderer = Renderer(scene, open_field())
-        band = thermal_band(self.weather, responsivity, lattice)
-        roles = list(self.rig.cameras)
-        lenses = {role: Lens(self.rig[role].camera) for role in roles}
-        cameras = {
-            role: ThermalCamera(self.config.thermal, (self.seed, 20, number))
-            for number, role in enumerate(roles)
-        }
-        for index in range(self.instants):
-            time_s = self.time_s(index)
-            for role in roles:
-                radiance = renderer.render(
-                    lenses[role], band, self.T_map_camera(role), time_s
-                ).radiance
-                image = cameras[role].expose(radiance, index)
-                yield RawFrame(image, self.stamp_ns(index), role, index)
+        self._gain: AutomaticGain | None = None
+        if config.thermal.output == "agc":
+            self._gain = AutomaticGain(
+                AgcConfig(mode="plateau", damping=config.thermal.agc_damping)
+            )
+        self._grey: NDArray[np.uint8] | None = None
+
+    def blind(self, exposure: Exposure) -> bool:
+        return self._core.is_correcting(exposure.time_s)
+
+    def frame(self, signal: NDArray[np.uint16] | None, exposure: Exposure) -> RawFrame | None:
+        reading = self._core.expose(signal, exposure.time_s, exposure.index)
+        if reading is None:
+            return None
+        image: NDArray[np.uint8] | NDArray[np.uint16] = reading.counts
+        if self._gain is not None:
+            if not reading.correcting or self._grey is None:
+                view = CameraView(reading.counts, self._lens)
+                shown = self._gain.process(RigFrame(exposure.stamp_ns, {self._role: view}))
+                self._grey = shown.views[self._role].display
+            assert self._grey is not None
+            image = self._grey
+        telemetry = reading.telemetry if self._telemetry else None
+        return RawFrame(image, exposure.stamp_ns, self._role, exposure.index, telemetry)
+
+
+class _VisibleSensor:
+    """The visible camera of the rig."""
+
+    def __init__(self, simulation: Simulation, camera: int) -> None:
+        self._illumination = simulation.plan.weather.illumination
+        self._camera = VisibleCamera(
+            simulation.config.visible, self._illumination, (simulation.seed, 21, camera)
+        )
+
+    def blind(self, exposure: Exposure) -> bool:
+        return False
+
+    def frame(self, signal: NDArray[np.uint16] | None, exposure: Exposure) -> RawFrame:
+        assert signal is not None
+        image = self._camera.expose(signal, self._illumination, exposure.index)
+        return RawFrame(image, exposure.stamp_ns, VISIBLE, exposure.index)

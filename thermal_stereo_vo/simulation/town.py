@@ -7,6 +7,7 @@ depend on how much of it is built.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,13 +32,11 @@ _FINE_REACH_M = 45.0
 
 @dataclass(frozen=True)
 class TownOptions:
-    """What the streets are full of."""
+    """What the streets are full of.  ``density`` scales the number of leaves."""
 
     seed: int = 1
-    weather: Weather | None = None
     traffic: bool = True
     density: float = 1.0
-    """Number of leaves and small things relative to normal."""
 
 
 def crossing(i: float, j: float, z_m: float = 0.0) -> tuple[float, float, float]:
@@ -53,17 +52,16 @@ def height_m(x_m: Floats | float, y_m: Floats | float) -> Floats:
     )
 
 
-def build_town(path_m: Floats, options: TownOptions, air_kelvin: float) -> Scene:
+def build_town(path_m: Floats, options: TownOptions, weather: Weather) -> Scene:
     """The town around a path of (N, 3) points."""
-    town = _Town(path_m[:, :2], options, air_kelvin)
-    return town.build()
+    return _Town(path_m[:, :2], options, weather).build()
 
 
 class _Town:
-    def __init__(self, path: Floats, options: TownOptions, air_kelvin: float) -> None:
+    def __init__(self, path: Floats, options: TownOptions, weather: Weather) -> None:
         self._path = path[:: max(1, len(path) // 400)]
         self._options = options
-        self._air_kelvin = air_kelvin
+        self._weather = weather
         self._b = MeshBuilder()
         self._movers: list[Mover] = []
 
@@ -78,6 +76,8 @@ class _Town:
                 self._street(i, j, along_x=True)
                 self._street(i, j, along_x=False)
         self._horizon((low + high) / 2)
+        if self._options.traffic:
+            self._traffic(low, high)
         return Scene(
             self._b.build(), tuple(self._movers), outdoors=True, extent_m=np.stack([low, high])
         )
@@ -178,7 +178,11 @@ class _Town:
     def _tree(self, x: float, y: float, rng: np.random.Generator) -> None:
         away = self._distance(x, y)
         leaves = int(self._options.density * (900 if away < _FINE_REACH_M else 350))
-        objects.tree(self._b, self._T(x, y, rng.uniform(0, 6)), rng.uniform(5.5, 11.0), leaves, rng)
+        # Crowns (up to 0.46 of the height) keep clear of the flight.
+        tallest = min(11.0, (away - 1.5) / 0.46)
+        if tallest > 4.0:
+            height = rng.uniform(min(5.5, 0.8 * tallest), tallest)
+            objects.tree(self._b, self._T(x, y, rng.uniform(0, 6)), height, leaves, rng)
 
     def _fence(
         self, x: float, y: float, yaw: float, length: float, rng: np.random.Generator
@@ -317,8 +321,7 @@ class _Town:
                               0.6, Material.HOT_METAL, 0.25 * warm)  # fmt: skip
             for s in np.arange(start, stop, 27.0):
                 x, y = at(s + (13.0 if side > 0 else 0.0), side * (ROAD_HALF_M + 0.35))
-                weather = self._options.weather
-                lit = 12.0 if weather is not None and weather.lamps else 0.0
+                lit = 12.0 if self._weather.lamps else 0.0
                 objects.lamp_post(self._b, self._T(x, y, yaw - side * np.pi / 2), 5.5,
                                   warm_kelvin=lit)  # fmt: skip
             for _ in range(2):
@@ -326,7 +329,9 @@ class _Town:
                 objects.sign(self._b, self._T(x, y, yaw + (side > 0) * np.pi), rng)
             if rng.random() < 0.6:
                 x, y = at(rng.uniform(start, stop), side * (ROAD_HALF_M + 1.2))
-                objects.person(self._b, self._T(x, y, rng.uniform(0, 6)), rng, self._air_kelvin)
+                objects.person(
+                    self._b, self._T(x, y, rng.uniform(0, 6)), rng, self._weather.air_kelvin
+                )
             if rng.random() < 0.6:
                 for s in np.arange(start + 3, stop, 12.0):
                     x, y = at(s, side * (ROAD_HALF_M + 1.5))
@@ -352,6 +357,32 @@ class _Town:
                 line = a + f * (c - a) - np.array([0, 0, 1.0]) * (drop + 1.6 * f * (1 - f))
                 for p, q in zip(line[:-1], line[1:], strict=True):
                     self._b.cylinder(p, q, 0.012, Material.CABLE, sides=3)
+
+    def _traffic(self, low: Floats, high: Floats) -> None:
+        """Cars in the lanes and people on the pavements, to and fro without end."""
+        rng = np.random.default_rng([self._options.seed, 8])
+        for along in (0, 1):
+            pitch = (PITCH_X_M, PITCH_Y_M)[1 - along]
+            first = int(np.ceil(low[1 - along] / pitch))
+            last = int(np.floor(high[1 - along] / pitch))
+            for street in range(first, last + 1):
+                for side in (-1, 1):
+                    lane = street * pitch - side * 1.7 * (1 if along == 0 else -1)
+                    walk = street * pitch - side * (ROAD_HALF_M + 1.0)
+                    car = MeshBuilder()
+                    objects.car(car, np.eye(4), rng, engine_kelvin=rng.uniform(14.0, 24.0))
+                    speed = side * rng.uniform(7.0, 11.0)
+                    self._movers.append(
+                        Mover(car.build(), _shuttle(low, high, along, lane, speed, 0.0, rng))
+                    )
+                    someone = MeshBuilder()
+                    objects.person(someone, np.eye(4), rng, self._weather.air_kelvin)
+                    speed = side * rng.uniform(1.0, 1.6)
+                    self._movers.append(
+                        Mover(
+                            someone.build(), _shuttle(low, high, along, walk, speed, _KERB_M, rng)
+                        )
+                    )
 
     def _horizon(self, centre: Floats) -> None:
         """Fields and hills to close the view."""
@@ -384,3 +415,20 @@ def _grid_lines(low: float, high: float, pitch: float) -> Floats:
             count = max(1, int(np.ceil((c - a) / 4.0)))
             lines.append(i * pitch + a + (c - a) * np.arange(count) / count)
     return np.concatenate(lines)
+
+
+def _shuttle(
+    low: Floats, high: Floats, along: int, across_m: float, speed_m_s: float, above_m: float,
+    rng: np.random.Generator,
+) -> Callable[[float], Floats]:  # fmt: skip
+    """Straight along a street, and again from its beginning once out of the town."""
+    length = high[along] - low[along]
+    start = rng.uniform(0.0, length)
+    yaw = (np.pi / 2 if along else 0.0) + (np.pi if speed_m_s < 0 else 0.0)
+
+    def pose(time_s: float) -> Floats:
+        s = low[along] + (start + speed_m_s * time_s) % length
+        x, y = (across_m, s) if along else (s, across_m)
+        return placed(x, y, float(height_m(x, y)) + above_m, yaw)
+
+    return pose
