@@ -10,6 +10,7 @@ VERSION = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text
 
 # Modules of thermal_stereo_vo.nodes with a main(); `ros2 run thermal_stereo_vo NAME` starts them.
 NODES = [
+    "thermal_correction_node",
     "rectification_node",
     "stereo_odometry_node",
     "replay_node",

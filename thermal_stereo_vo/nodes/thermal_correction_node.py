@@ -180,8 +180,8 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
             telemetry = self._telemetry_at(eye, stamp_ns)
             raw = RawFrame(image, stamp_ns, eye, self._received[eye], telemetry)
             self._received[eye] += 1
-            self._record(eye, raw)
             self._process(eye, raw, message.header.frame_id)
+            self._record(eye, raw)
             self.problem = ""
         except ThermalStereoError as error:
             self.refuse(error)
@@ -200,14 +200,9 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
         self._status.publish(conversions.diagnostics_to_msg(fields))
 
     def _record(self, eye: str, raw: RawFrame) -> None:
+        """Images that cannot be used, as before the first temperature, do not end a recording."""
         recorder = self._recorders.get(eye)
-        if recorder is None:
-            return
-        try:
-            path = recorder.add(raw)
-        except ThermalStereoError:
-            del self._recorders[eye]
-            raise
+        path = None if recorder is None else recorder.add(raw)
         if path is not None:
             del self._recorders[eye]
             self.get_logger().info(f"recorded a view of a uniform source: {path}")
@@ -266,11 +261,6 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
         return False
 
     def _on_record(self, request: Any, response: Any) -> Any:
-        if self._recorders:
-            missing = ", ".join(f"{eye} {r.missing}" for eye, r in self._recorders.items())
-            response.success = False
-            response.message = f"still recording (images missing: {missing})"
-            return response
         config = self.config
         serials = self._front_ends[EYES[0]].serials
         self._recorders = {
@@ -307,6 +297,8 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
                 messages.append(f"{eye}: {status.text}")
         if not self._subscriptions_to_images:
             messages.append("idle: nobody listens to both outputs")
+        for eye, recorder in self._recorders.items():
+            messages.append(f"recording a flat field of {eye}, {recorder.missing} images to go")
         values = [("ffc_inhibited", str(self._inhibited_until_s is not None).lower())]
         for eye, front_end in self._front_ends.items():
             values += [

@@ -5,7 +5,7 @@ The correction node and the replay use this very object.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +61,8 @@ class ThermalFrontEnd:
         self.camera = camera
         self.gate = FrameGate(config.gate, camera, on_event)
         self.decision = GateDecision(GateState.TRACKING, 0)
-        self._flat_field = _open_flat_field(config.flat_field, camera)
+        self.serials = _serials(config.flat_field)
+        self._flat_field = _open_flat_field(config.flat_field, camera, self.serials)
         self._scene_based: SceneBasedCorrection | None = None
         if config.scene_based.enabled:
             self._scene_based = SceneBasedCorrection(config.scene_based)
@@ -105,6 +106,10 @@ class ThermalFrontEnd:
             telemetry=raw.telemetry,
         )
 
+    def check(self, silence_s: float) -> GateEvent | None:
+        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
+        return self.gate.check(self.gate.last_stamp_ns + round(silence_s * 1e9))
+
     def warm_up(self) -> None:
         """Compile the kernels, so that the first frames are not late."""
         warm_up()
@@ -145,8 +150,9 @@ def warm_up() -> None:
                 scene_based.process(corrected, settled=True, epoch=0)
 
 
-def _open_flat_field(config: FlatFieldConfig, camera: str) -> FlatField | None:
-    serials = _serials(config)
+def _open_flat_field(
+    config: FlatFieldConfig, camera: str, serials: Mapping[str, str]
+) -> FlatField | None:
     if not config.file:
         return None
     try:

@@ -233,6 +233,11 @@ class FrameGate:
         return self._state
 
     @property
+    def last_stamp_ns(self) -> int:
+        """Stamp of the last frame, 0 before any."""
+        return self._last_stamp_ns
+
+    @property
     def epoch(self) -> int:
         """How many corrections there have been."""
         return self._epoch
