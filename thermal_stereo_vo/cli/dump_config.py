@@ -10,11 +10,15 @@ from thermal_stereo_vo.cli.config_arguments import add_config_arguments, load_co
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``dump-config``."""
     add_config_arguments(parser)
+    parser.add_argument(
+        "--markdown", action="store_true", help="a table instead of YAML, as in docs/parameters.md"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the YAML document."""
-    from thermal_stereo_vo.core.config import dump_yaml
+    """Print the YAML document, or the table."""
+    from thermal_stereo_vo.core.config import dump_yaml, markdown_table
 
-    print(dump_yaml(load_config(args)), end="")
+    config = load_config(args)
+    print(markdown_table(type(config)) if args.markdown else dump_yaml(config), end="")
     return 0

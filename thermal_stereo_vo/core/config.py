@@ -188,9 +188,23 @@ def _dump_lines(config: Any, depth: int) -> Iterator[str]:
             yield f"{indent}{item.name}: {_yaml_scalar(value)}"
 
 
+def markdown_table(cls: type) -> str:
+    """Every setting below ``cls`` as a row: path, default, unit and range, sentence."""
+    lines = ["| Setting | Default | Unit, range | Meaning |", "|---|---|---|---|"]
+    for info in settings_of(cls):
+        default = "" if info.default is None else f"`{_yaml_scalar(info.default)}`"
+        notes = ", ".join(_notes(info)).replace("|", "/")
+        lines.append(f"| `{info.path}` | {default} | {notes} | {info.doc} |")
+    return "\n".join(lines) + "\n"
+
+
 def describe(info: SettingInfo) -> str:
     """Sentence, unit and range or choices on one line."""
-    text = info.doc
+    notes = _notes(info)
+    return f"{info.doc} [{', '.join(notes)}]" if notes else info.doc
+
+
+def _notes(info: SettingInfo) -> list[str]:
     notes = []
     if info.unit:
         notes.append(info.unit)
@@ -200,7 +214,7 @@ def describe(info: SettingInfo) -> str:
         low = "" if info.minimum is None else f"{info.minimum:g}"
         high = "" if info.maximum is None else f"{info.maximum:g}"
         notes.append(f"{low}..{high}")
-    return f"{text} [{', '.join(notes)}]" if notes else text
+    return notes
 
 
 def _yaml_scalar(value: Any) -> str:

@@ -1,0 +1,36 @@
+"""What the documents say is still true."""
+
+from __future__ import annotations
+
+import re
+
+from conftest import REPOSITORY
+
+from thermal_stereo_vo.cli.main import VERBS
+from thermal_stereo_vo.core.config import markdown_table
+from thermal_stereo_vo.pipeline import Config
+
+
+def test_the_table_of_parameters_is_that_of_the_code():
+    text = (REPOSITORY / "docs" / "parameters.md").read_text(encoding="utf-8")
+    assert text.endswith(markdown_table(Config)), (
+        "run: python3 -m thermal_stereo_vo dump-config --markdown, and put it into docs/parameters.md"
+    )
+
+
+def test_the_readme_shows_every_picture_it_names():
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", text)
+    assert pictures
+    for picture in pictures:
+        assert (REPOSITORY / picture).is_file(), picture
+
+
+def test_the_readme_names_only_verbs_and_nodes_that_exist():
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^    \.\.\. ([a-z-]+)", text, flags=re.MULTILINE))
+    assert named
+    assert named <= set(VERBS)
+    nodes = set(re.findall(r"^\| `([a-z_]+_node)`", text, flags=re.MULTILINE))
+    setup = (REPOSITORY / "setup.py").read_text(encoding="utf-8")
+    assert nodes == set(re.findall(r'"([a-z_]+_node)"', setup))
