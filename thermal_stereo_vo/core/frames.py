@@ -135,8 +135,9 @@ class CameraView:
 class RigFrame:
     """What the rig saw at one instant.
 
-    ``views`` maps role (``left``, ``right``, ``visible``, ``thermal``) to view.  A camera that is blind at this instant has no view; ``blind`` says why.  ``skew_ns`` is the
-    measured stamp difference of the two cameras (second minus first role).
+    ``views`` maps role (``left``, ``right``, ``visible``, ``thermal``) to view.  A camera that is
+    blind at this instant has no view; ``blind`` says why.  ``skew_ns`` is the measured stamp
+    difference of the two cameras (second minus first role).
     """
 
     stamp_ns: int
