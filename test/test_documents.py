@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
-
-from conftest import REPOSITORY
+from pathlib import Path
 
 from thermal_stereo_vo.cli.main import VERBS
 from thermal_stereo_vo.core.config import markdown_table
 from thermal_stereo_vo.pipeline import Config
 
+REPOSITORY = Path(__file__).resolve().parent.parent
+
 
 def test_the_table_of_parameters_is_that_of_the_code():
     text = (REPOSITORY / "docs" / "parameters.md").read_text(encoding="utf-8")
     assert text.endswith(markdown_table(Config)), (
-        "run: python3 -m thermal_stereo_vo dump-config --markdown, and put it into docs/parameters.md"
+        "put the output of `dump-config --markdown` into docs/parameters.md"
     )
 
 
