@@ -27,7 +27,7 @@ from thermal_stereo_vo.core.cameras import (
 from thermal_stereo_vo.core.transforms import exp_se3
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PATIENCE_S = 240.0
+PATIENCE_S = 600.0
 """For a machine that compiles every kernel and has other work to do."""
 
 

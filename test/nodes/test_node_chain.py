@@ -19,6 +19,9 @@ from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
+# The very first run compiles every kernel, on a machine that may be busy.
+pytestmark = pytest.mark.timeout(900)
+
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
 
 

@@ -19,6 +19,9 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT, Camera, RigCalibration, 
 from thermal_stereo_vo.core.transforms import exp_se3, make_transform
 from thermal_stereo_vo.nodes import conversions
 
+# The very first run compiles every kernel, on a machine that may be busy.
+pytestmark = pytest.mark.timeout(900)
+
 EYES = (LEFT, RIGHT)
 PERIOD_NS = 100_000_000
 
