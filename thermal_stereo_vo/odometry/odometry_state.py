@@ -36,6 +36,8 @@ class OdometryState:
     ) -> None:
         self._gyro = gyro
         self.pose = PoseEstimate.start(T_world_rig)
+        self._origin_m = self.pose.T_world_rig[:3, 3].copy()
+        self._scale_sigma = config.scale_sigma
         self.prior = ConstantVelocity()
         self._status = StatusMachine(config)
         self._twist_covariance = np.zeros((6, 6))
@@ -145,11 +147,18 @@ class OdometryState:
             self._now,
             status,
             self.pose.T_world_rig.copy(),
-            self.pose.covariance.copy(),
+            self._claimed_covariance(),
             twist=np.zeros(6) if self.prior.twist is None else self.prior.twist.copy(),
             twist_covariance=twist_covariance,
             **common,  # type: ignore[arg-type]
         )
+
+    def _claimed_covariance(self) -> NDArray[np.float64]:
+        """That of the pose, and of the scale: an error common to all steps since the start."""
+        covariance = self.pose.covariance.copy()
+        way_m = self._scale_sigma * (self.pose.T_world_rig[:3, 3] - self._origin_m)
+        covariance[:3, :3] += np.outer(way_m, way_m)
+        return covariance
 
 
 def _turned(rotation: NDArray[np.float64] | None) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from thermal_stereo_vo.core.results import TrackingStatus
 
 @dataclass(frozen=True)
 class StatusConfig:
-    """When a measurement is thin and when a prediction is worth nothing any more."""
+    """When a measurement is thin, when a prediction is worth nothing, and what stays unknown."""
 
     degraded_inliers: int = setting(
         30, "Below this many inliers the status is DEGRADED.", minimum=6, maximum=10000
@@ -22,6 +22,13 @@ class StatusConfig:
         unit="s",
         minimum=0.0,
         maximum=10.0,
+    )
+    scale_sigma: float = setting(
+        0.002,
+        "Relative uncertainty of all distances by what calibration leaves (baseline, focal length, "
+        "relative yaw); no residual shows it, so it is added to the covariance of the position.",
+        minimum=0.0,
+        maximum=0.2,
     )
 
 
