@@ -54,7 +54,7 @@ class FfcCell:
 def measure_cell(
     flight: str, schedule: str, seed: int, config: Config, rate_hz: float, cache: Path
 ) -> FfcCell:
-    """Fly once; the noise-free pictures are kept in ``cache`` for the other cells."""
+    """Fly once; the noise-free pictures are kept below ``cache`` for the other cells."""
     from thermal_stereo_vo.datasets.options import SourceOptions
     from thermal_stereo_vo.datasets.simulated import open_simulated
     from thermal_stereo_vo.replay import replay
@@ -65,7 +65,7 @@ def measure_cell(
         *SCHEDULES[schedule],
         f"ffc.first_s={first_s}",
         f"ffc.period_s={PERIOD_S}",
-        f"render.cache={cache}",
+        f"render.cache={cache / flight}",
     )
     dataset = open_simulated(
         flight,
