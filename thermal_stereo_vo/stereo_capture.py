@@ -164,6 +164,10 @@ class StereoCapture:
         """Correct the flat field of all cameras soon.  Raises CaptureError without control."""
         self._source.do_ffc()
 
+    def open_shutter(self) -> None:
+        """Open shutters that a shock has closed.  Raises CaptureError without control."""
+        self._source.open_shutter()
+
     def inhibit_ffc(self, inhibit: bool) -> None:
         """No corrections for a while, or again.  Raises CaptureError without control."""
         self._source.inhibit_ffc(inhibit)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from thermal_stereo_vo.capture.grabber_rig import GrabberConfig, GrabberRig
+from thermal_stereo_vo.cli.main import main
 from thermal_stereo_vo.core.config import from_mapping, load_yaml
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.stereo_capture import StereoCaptureConfig
@@ -20,10 +21,15 @@ def test_the_files_say_what_the_code_says(name):
     path = CONFIG / f"stereo_capture_{name}.yaml"
     text = path.read_text()
     assert text == preset_text(name), (
-        f'write it anew: python3 -c "from thermal_stereo_vo.stereo_capture_presets import '
-        f"preset_text; print(preset_text('{name}'), end='')\" > config/{path.name}"
+        f"write it anew: python3 -m thermal_stereo_vo dump-config --capture {name} > {path}"
     )
     assert load_yaml(StereoCaptureConfig, text, origin=path.name) == preset(name)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_command_line_prints_them(name, capsys):
+    assert main(["dump-config", "--capture", name]) == 0
+    assert capsys.readouterr().out == preset_text(name)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -41,7 +47,9 @@ def test_every_preset_has_a_file_and_every_file_a_preset():
     assert files == set(PRESETS)
 
 
-def test_an_unknown_preset():
+def test_an_unknown_preset(capsys):
+    assert main(["dump-config", "--capture", "lepton"]) == 2
+    assert "choose sensoray, boson, analog" in capsys.readouterr().err
     with pytest.raises(ConfigError, match=r"no preset 'lepton' .* choose sensoray, boson, analog"):
         preset("lepton")
 

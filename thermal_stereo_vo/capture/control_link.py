@@ -102,6 +102,7 @@ class ControlLink:
         self._status = ControlStatus(camera)
         self._stop = threading.Event()
         self._reconnect = threading.Event()
+        self._shutter = threading.Event()
         self._thread: threading.Thread | None = None
         self._automatic: bool | None = None
         self._temperatures_ns: int | None = None
@@ -125,6 +126,10 @@ class ControlLink:
     def reconnect(self) -> None:
         """Close and open the port now."""
         self._reconnect.set()
+
+    def open_shutter(self) -> None:
+        """Open a shutter that a shock has closed, as soon as the camera listens."""
+        self._shutter.set()
 
     def status(self) -> ControlStatus:
         """A snapshot."""
@@ -230,6 +235,9 @@ class ControlLink:
             if automatic != self._automatic:
                 control.set_ffc_automatic(automatic)
                 self._automatic = automatic
+        if self._shutter.is_set():
+            control.open_shutter()
+            self._shutter.clear()
         order = self._policy.take_order(self.camera, now_ns)
         if order is not None:
             self._correct(control, order)

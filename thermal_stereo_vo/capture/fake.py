@@ -100,6 +100,9 @@ class FakeCameras:
     def do_ffc(self) -> None:
         raise no_control()
 
+    def open_shutter(self) -> None:
+        raise no_control()
+
     def inhibit_ffc(self, inhibit: bool) -> None:
         raise no_control()
 

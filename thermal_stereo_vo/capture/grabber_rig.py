@@ -117,6 +117,11 @@ class GrabberRig:
     def do_ffc(self) -> None:
         self._require_policy().request()
 
+    def open_shutter(self) -> None:
+        self._require_policy()
+        for control in self._controls.values():
+            control.open_shutter()
+
     def inhibit_ffc(self, inhibit: bool) -> None:
         policy = self._require_policy()
         if inhibit:

@@ -48,6 +48,9 @@ class CameraSource(Protocol):
     def do_ffc(self) -> None:
         """Correct the flat field of all cameras soon.  Raises CaptureError without control."""
 
+    def open_shutter(self) -> None:
+        """Open shutters that a shock has closed.  Raises CaptureError without control."""
+
     def inhibit_ffc(self, inhibit: bool) -> None:
         """No corrections for a while, or again.  Raises CaptureError without control."""
 

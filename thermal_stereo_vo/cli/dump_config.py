@@ -13,10 +13,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--markdown", action="store_true", help="a table instead of YAML, as in docs/parameters.md"
     )
+    parser.add_argument(
+        "--capture",
+        metavar="RIG",
+        help="the parameter file of stereo_capture_node instead, for two cameras of the kind "
+        "sensoray (Tau 2 on Sensoray grabbers), boson (USB) or analog (8 bits)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the YAML document, or the table."""
+    """Print the YAML document, the table, or the settings of a rig."""
+    if args.capture is not None:
+        from thermal_stereo_vo.stereo_capture_presets import preset_text
+
+        print(preset_text(args.capture), end="")
+        return 0
     from thermal_stereo_vo.core.config import dump_yaml, markdown_table
 
     config = load_config(args)

@@ -46,6 +46,7 @@ class StereoCaptureNode(runtime.BaseNode[StereoCaptureConfig]):
         out  /diagnostics                         diagnostic_msgs/DiagnosticArray, once a second
         srv  ~/do_ffc                             std_srvs/Trigger: correct the flat field soon
         srv  ~/inhibit_ffc                        std_srvs/SetBool: no corrections for a while
+        srv  ~/open_shutter                       std_srvs/Trigger: after a shock has closed it
         srv  ~/reconnect                          std_srvs/Trigger: close and open all cameras
         """
 
@@ -71,6 +72,7 @@ class StereoCaptureNode(runtime.BaseNode[StereoCaptureConfig]):
         self._status = self.create_publisher(DiagnosticArray, "status", runtime.RELIABLE)
         self.create_service(Trigger, "~/do_ffc", self._on_do_ffc)
         self.create_service(SetBool, "~/inhibit_ffc", self._on_inhibit_ffc)
+        self.create_service(Trigger, "~/open_shutter", self._on_open_shutter)
         self.create_service(Trigger, "~/reconnect", self._on_reconnect)
         self._capture.__enter__()
         self._reader = threading.Thread(target=self._read, name="pairs", daemon=True)
@@ -115,6 +117,12 @@ class StereoCaptureNode(runtime.BaseNode[StereoCaptureConfig]):
             self.fail(error)
 
     def _publish(self, pair: CapturedPair) -> None:
+        # First: whoever handles the image shall know by then that the shutter was closed.
+        self._status.publish(
+            conversions.diagnostics_to_msg(
+                *pair_fields(pair, self._capture.counters(), self._capture.cameras())
+            )
+        )
         for eye, frame in pair.frames.items():
             frame_id = f"{eye}_optical"
             if self._images[eye].get_subscription_count():
@@ -127,11 +135,6 @@ class StereoCaptureNode(runtime.BaseNode[StereoCaptureConfig]):
                 self._info_out[eye].publish(
                     conversions.camera_info_to_msg(self._infos[eye], pair.stamp_ns, frame_id)
                 )
-        self._status.publish(
-            conversions.diagnostics_to_msg(
-                *pair_fields(pair, self._capture.counters(), self._capture.cameras())
-            )
-        )
         self._stamp_ns = pair.stamp_ns
 
     def _on_do_ffc(self, request: Any, response: Any) -> Any:
@@ -141,6 +144,9 @@ class StereoCaptureNode(runtime.BaseNode[StereoCaptureConfig]):
         limit_s = self.config.grabbers.ffc.inhibit_limit_s
         said = f"no corrections for {limit_s:g} s" if request.data else "corrections are allowed"
         return self._answer(response, lambda: self._capture.inhibit_ffc(request.data), said)
+
+    def _on_open_shutter(self, request: Any, response: Any) -> Any:
+        return self._answer(response, self._capture.open_shutter, "the shutters will be opened")
 
     def _on_reconnect(self, request: Any, response: Any) -> Any:
         return self._answer(response, self._capture.reconnect, "the cameras are opened anew")

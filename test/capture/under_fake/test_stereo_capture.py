@@ -200,7 +200,7 @@ def test_telemetry_and_corrections_of_each_camera(stereo, two_pty_cameras, event
 
 def test_without_control_ports_corrections_are_refused(stereo):
     capture, _ = stereo()
-    for order in (capture.do_ffc, lambda: capture.inhibit_ffc(True)):
+    for order in (capture.do_ffc, capture.open_shutter, lambda: capture.inhibit_ffc(True)):
         with pytest.raises(CaptureError, match="no camera has a control port"):
             order()
 

@@ -83,6 +83,7 @@ def test_pairs_go_out_under_one_stamp_with_calibration_and_status(start, eventua
     assert (info.header.frame_id, info.p[3]) == ("right_optical", -12.0)
     status = node.heard["status"][-1].status
     assert [entry.name for entry in status] == ["stereo capture", "left", "right"]
+    assert [entry.hardware_id for entry in status] == ["", "left", "right"]
     values = {entry.key: entry.value for entry in status[0].values}
     assert abs(int(values["skew_ns"])) <= 16_700_000
     _, message, health = node.health()
@@ -126,6 +127,11 @@ def test_telemetry_and_services(start, eventually, two_pty_cameras):
             lambda e=eye: telemetry(e)[-1].ffc_state.value == "complete", node.said, limit_s=15.0
         )
     eventually(lambda: node.health()[2]["left_ffc_count"] == "1", node.said)
+    for camera in two_pty_cameras.values():
+        camera.registers[0x79] = b"\0\1"
+    assert node.call(Trigger, "/stereo_capture/open_shutter", Trigger.Request()).success
+    for camera in two_pty_cameras.values():
+        eventually(lambda c=camera: c.registers[0x79] == b"\0\0", node.said)
     assert node.health()[2]["left_camera"].startswith("serial 12345")
 
 
