@@ -43,7 +43,7 @@ def detect_circles(image: NDArray[Any], target: Target) -> Detection:
                         method=f"{polarity} dots, {name}",
                     )
     return Detection(
-        None, "no grid of dots seen: is the whole board in view, sharp and of this size?"
+        None, "no grid of dots seen: is the whole board in view and sharp?"
     )
 
 

@@ -1,4 +1,4 @@
-"""One question for all boards: where are the target's points in this image?"""
+"""Where the points of a target are in an image, whatever the kind of board."""
 
 from __future__ import annotations
 

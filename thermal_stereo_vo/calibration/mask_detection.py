@@ -194,9 +194,8 @@ def _lattice(holes: Holes, target: Target) -> HoleLattice | None:
 
 def _aligned(quad: Array, across: Array, down: Array) -> Array:
     """Start a clockwise quadrilateral at its top left corner as the neighbour sees it."""
-    towards = (quad - quad.mean(0)) @ (
-        across / np.linalg.norm(across) + down / np.linalg.norm(down)
-    )
+    diagonal = across / np.linalg.norm(across) + down / np.linalg.norm(down)
+    towards = (quad - quad.mean(0)) @ diagonal
     return np.roll(quad, -int(np.argmin(towards)), axis=0)
 
 

@@ -28,8 +28,8 @@ class TargetKind(Enum):
 
 _SPEC = re.compile(r"(?P<kind>[a-z]+):(?P<columns>\d+)x(?P<rows>\d+):(?P<sizes>[0-9.eE+:-]+)")
 _EXAMPLES = (
-    "chessboard:9x6:0.04 (inner corners, square in m), mask:6x4:0.04[:0.08] (square holes, side and "
-    "pitch in m), circles:4x3:0.09 (dots, pitch in m) or acircles:4x11:0.02"
+    "chessboard:9x6:0.04 (inner corners, square in m), mask:6x4:0.04[:0.08] (square holes, side "
+    "and pitch in m), circles:4x3:0.09 (dots, pitch in m) or acircles:4x11:0.02"
 )
 
 
@@ -38,10 +38,10 @@ class Target:
     """A flat board.
 
     ``columns`` x ``rows`` counts inner corners of a chessboard, square holes of a mask, dots of a
-    circle grid.  ``spacing_m`` is the side of a chessboard square or of a mask hole, or the distance
-    of neighbouring dots (for asymmetric grids OpenCV's diagonal half-pitch).  ``pitch_m`` is the
-    distance of neighbouring mask holes, twice the side when not given (the mask of Vidas et al.:
-    its corners form one regular lattice).
+    circle grid.  ``spacing_m`` is the side of a chessboard square or of a mask hole, or the
+    distance of neighbouring dots (for asymmetric grids OpenCV's diagonal half-pitch).
+    ``pitch_m`` is the distance of neighbouring mask holes, twice the side when not given (the mask
+    of Vidas et al.: its corners form one regular lattice).
     """
 
     kind: TargetKind
@@ -64,8 +64,8 @@ class Target:
             pitch_m = self.pitch_m or 2.0 * self.spacing_m
             if not 1.2 * self.spacing_m <= pitch_m <= 5.0 * self.spacing_m:
                 raise CalibrationError(
-                    f"the mask pitch {pitch_m} m does not fit holes of {self.spacing_m} m: the pitch "
-                    "is the distance between the centres of neighbouring holes"
+                    f"the mask pitch {pitch_m} m does not fit holes of {self.spacing_m} m: "
+                    "the pitch is the distance between the centres of neighbouring holes"
                 )
             object.__setattr__(self, "pitch_m", pitch_m)
 

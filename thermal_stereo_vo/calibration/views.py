@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,3 +45,11 @@ class Detection:
     def found(self) -> bool:
         """True when there is a view."""
         return self.view is not None
+
+
+@dataclass(frozen=True)
+class BoardShot:
+    """The board at one instant, in every camera that saw it: role -> view."""
+
+    name: str
+    views: Mapping[str, BoardView]
