@@ -79,6 +79,8 @@ def estimate_motion(
     if n < config.min_inliers:
         return None
     parameters = camera.parameters
+    # A view of a larger array would be another type to the compiler.
+    points_m, observed_px = np.ascontiguousarray(points_m), np.ascontiguousarray(observed_px)
     samples = rng.integers(0, n, size=(config.ransac_iterations, 3))
     _, T = ransac_motion(
         points_m, observed_px, parameters, T_start, samples,
