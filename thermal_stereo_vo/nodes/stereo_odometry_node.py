@@ -8,20 +8,16 @@ odometry is lost ``odom`` is silent and ``status`` says why.
 from __future__ import annotations
 
 import sys
-import threading
-import time
 from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields, calibration_from_pair
-from thermal_stereo_vo.core.cameras import RigCalibration
-from thermal_stereo_vo.core.errors import ThermalStereoError
 from thermal_stereo_vo.core.frames import RadiometricFrame
 from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.nodes.pipeline_thread import PipelineThread
 from thermal_stereo_vo.nodes.publisher import ResultPublisher
 from thermal_stereo_vo.nodes.stereo_input import EYES, CalibrationInput, ImageInput
 from thermal_stereo_vo.nodes.stereo_odometry_config import StereoOdometryNodeConfig
@@ -51,23 +47,20 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
     def __init__(self) -> None:
         super().__init__()
         config = self.config
-        self._pipeline: Pipeline | None = None
-        self._ready = threading.Event()
-        self._resets = 0
         self._publisher = ResultPublisher(
             self,
             config.mount.T_base_rig,
             odom_frame=config.odom_frame,
             base_frame=config.base_frame,
         )
-        self._worker = runtime.Worker(newest_only=not config.process_all, on_error=self.fail)
+        self._thread = PipelineThread(self, self._publisher, newest_only=not config.process_all)
         self._images = ImageInput(
             self,
             "image_rect",
             config.pairing,
             config.process_all,
             self._on_pair,
-            self._start_again,
+            self._thread.start_again,
         )
         for eye in EYES:
             self.create_subscription(
@@ -83,22 +76,11 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         calibration = calibration_from_pair(left, right, rectified=True, origin="in camera_info")
         calibration.check_stereo()
         self.problem = ""
-        self._worker.submit(partial(self._prepare, calibration))
-
-    def _prepare(self, calibration: RigCalibration) -> None:
-        """On the worker, as compiling may take a minute the very first time."""
-        pipeline = Pipeline(self.config.pipeline, calibration, [self._publisher])
-        start_s = time.monotonic()
-        pipeline.warm_up()
-        self.get_logger().info(f"kernels are ready after {time.monotonic() - start_s:.1f} s")
-        self._pipeline = pipeline
-        if self._publisher.last_pose is not None:
-            pipeline.reset(self._publisher.last_pose)
-        self._ready.set()
+        self._thread.prepare(self.config.pipeline, calibration)
 
     def _open(self) -> None:
         """Ask for images as soon as nothing else is missing."""
-        if not self._ready.is_set():
+        if not self._thread.is_ready:
             return
         self.watch_inputs(self._images.topics)
         if all(self.count_publishers(topic) > 0 for topic in self._images.topics) and all(
@@ -112,35 +94,21 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         self._images.masks[eye] = None if mask.all() else mask
 
     def _on_pair(self, pair: Pair[RadiometricFrame]) -> None:
-        self._worker.submit(partial(self._process, pair), frame=True)
+        self._thread.feed(partial(self._process, pair), frame=True)
 
-    def _process(self, pair: Pair[RadiometricFrame]) -> None:
-        assert self._pipeline is not None
-        try:
-            self._pipeline.process(pair)
-            self.problem = ""
-        except ThermalStereoError as error:
-            self.refuse(error)
-
-    def _start_again(self, reason: str) -> None:
-        self._worker.submit(partial(self._reset, reason))
-
-    def _reset(self, reason: str) -> None:
-        self.get_logger().warning(f"the odometry starts again from its last pose: {reason}")
-        self._resets += 1
-        if self._pipeline is not None:
-            last = self._publisher.last_pose
-            self._pipeline.reset(np.eye(4) if last is None else last)
+    def _process(self, pair: Pair[RadiometricFrame], pipeline: Pipeline) -> None:
+        pipeline.process(pair)
+        self.problem = ""
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._start_again("asked for by service")
+        self._thread.start_again("asked for by service")
         response.success = True
         response.message = "the odometry starts again with the next pair, from its last pose"
         return response
 
     def on_clock_jump_back(self, jump_s: float) -> None:
         self._images.restart()
-        self._start_again(f"the clock went back by {-jump_s:.3f} s")
+        self._thread.start_again(f"the clock went back by {-jump_s:.3f} s")
 
     def on_settings(self, config: StereoOdometryNodeConfig) -> None:
         if config.publish_tf and not self._publisher.has_tf:
@@ -149,23 +117,18 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         self._images.restart(config.pairing)
 
     def close(self) -> None:
-        self._worker.close()
+        self._thread.close()
 
     def health(self) -> DiagnosticFields:
         last = self._publisher.last
-        counters = (
-            *self._images.counters(),
-            ("pairs_dropped", str(self._worker.dropped)),
-            ("jobs_waiting", str(self._worker.waiting)),
-            ("resets", str(self._resets)),
-        )
+        counters = (*self._images.counters(), *self._thread.counters())
         if last is not None:
             of_last = status_fields(last, name=self.NAME)
             values = (*of_last.values, *counters)
             return DiagnosticFields(
                 last.stamp_ns, of_last.level, self.NAME, of_last.message, values
             )
-        if self._pipeline is None:
+        if not self._thread.is_ready:
             return DiagnosticFields(
                 0, WARN, self.NAME, "waiting for the calibration and the kernels", counters
             )
