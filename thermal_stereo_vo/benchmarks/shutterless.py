@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from thermal_stereo_vo.benchmarks.flown import fly
 from thermal_stereo_vo.calibration.radiometric import FlatFrame, fit_flat_field
-from thermal_stereo_vo.evaluation.flown import fly
 from thermal_stereo_vo.evaluation.report import format_table
 from thermal_stereo_vo.pipeline import Config
 from thermal_stereo_vo.radiometry.flat_field_file import save_flat_field

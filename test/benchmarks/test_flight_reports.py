@@ -5,28 +5,24 @@ import argparse
 import numpy as np
 import pytest
 
-from thermal_stereo_vo.calibration.radiometric import fit_flat_field
-from thermal_stereo_vo.cli.benchmark_flights import (
-    add_enhancement_arguments,
-    add_shutterless_arguments,
-    run_enhancement,
-    run_shutterless,
-)
-from thermal_stereo_vo.core.errors import SimulationError
-from thermal_stereo_vo.datasets.options import SourceOptions
-from thermal_stereo_vo.datasets.simulated import open_simulated
-from thermal_stereo_vo.evaluation.enhancement_report import (
+from thermal_stereo_vo.benchmarks.enhancement import (
     VIEWS,
     enhancement_report,
     measure_views,
 )
-from thermal_stereo_vo.evaluation.shutterless_report import (
+from thermal_stereo_vo.benchmarks.shutterless import (
     PATTERN_FREE,
     ShutterlessCell,
     shutterless_report,
     simulated_flat_fields,
     warming_settings,
 )
+from thermal_stereo_vo.calibration.radiometric import fit_flat_field
+from thermal_stereo_vo.cli.benchmark_enhancement import add_enhancement_arguments, run_enhancement
+from thermal_stereo_vo.cli.benchmark_shutterless import add_shutterless_arguments, run_shutterless
+from thermal_stereo_vo.core.errors import SimulationError
+from thermal_stereo_vo.datasets.options import SourceOptions
+from thermal_stereo_vo.datasets.simulated import open_simulated
 from thermal_stereo_vo.pipeline import Config
 from thermal_stereo_vo.radiometry.flat_field import FlatField, FlatFieldConfig
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermal_stereo_vo.evaluation.flown import fly
+from thermal_stereo_vo.benchmarks.flown import fly
 from thermal_stereo_vo.evaluation.report import format_table
 from thermal_stereo_vo.pipeline import Config
 from thermal_stereo_vo.radiometry.agc import AgcConfig

@@ -1,0 +1,44 @@
+"""``benchmark enhancement``: odometry on several 8-bit views of the same flight."""
+
+from __future__ import annotations
+
+import argparse
+
+from thermal_stereo_vo.cli.benchmark_flight_arguments import (
+    add_flight_arguments,
+    flight_settings,
+    picture_cache,
+)
+from thermal_stereo_vo.cli.progress import progress
+
+
+def add_enhancement_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``run_enhancement`` reads."""
+    parser.description = (
+        "Fly a simulated rig and compare the odometry on 8-bit views made in several ways, from "
+        "the sensor's whole range to equalisation without the sky (Mouats et al. 2015, Fig. 9)."
+    )
+    add_flight_arguments(parser)
+
+
+def run_enhancement(args: argparse.Namespace) -> int:
+    """Print the report; returns the exit code.
+
+    Raises:
+        ThermalStereoError: for an unknown preset or a flight that cannot be flown.
+    """
+    from thermal_stereo_vo.benchmarks.enhancement import (
+        VIEWS,
+        enhancement_report,
+        measure_views,
+    )
+    from thermal_stereo_vo.pipeline import Config
+
+    seeds = range(1, args.seeds + 1)
+    flights = args.seeds * len(VIEWS)
+    with picture_cache(args) as cache, progress(flights, "flight", quiet=args.quiet) as step:
+        cells = list(
+            measure_views(seeds, args.preset, flight_settings(args), Config(), cache, step)
+        )
+    print(enhancement_report(cells))
+    return 0
