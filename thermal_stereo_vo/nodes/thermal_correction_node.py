@@ -20,23 +20,20 @@ from std_srvs.srv import SetBool, Trigger
 
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ThermalStereoError
-from thermal_stereo_vo.core.frames import RawFrame, Telemetry
+from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.nodes import conversions, runtime
 from thermal_stereo_vo.nodes.stereo_input import EYES
+from thermal_stereo_vo.nodes.telemetry_input import TelemetryInput
 from thermal_stereo_vo.outputs.gate_fields import gate_fields
 from thermal_stereo_vo.outputs.ros_fields import (
     ERROR,
     OK,
     WARN,
     DiagnosticFields,
-    telemetry_from_values,
 )
 from thermal_stereo_vo.radiometry.flat_field_recorder import FlatFieldRecorder
 from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, ThermalFrontEnd
 from thermal_stereo_vo.radiometry.gate import GateEvent, GateState
-
-TEMPERATURE_AGE_NS = 2_000_000_000
-STATE_AGE_NS = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,6 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
         }
         self._front_ends[EYES[0]].warm_up()
         self._guard = runtime.StampGuard()
-        self._telemetry: dict[str, tuple[int, Telemetry]] = {}
         self._recorders: dict[str, FlatFieldRecorder] = {}
         self._received = dict.fromkeys(EYES, 0)
         self._held_back = dict.fromkeys(EYES, 0)
@@ -109,7 +105,7 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
             )
             for eye in EYES
         }
-        self.create_subscription(DiagnosticArray, "status", self._on_status, runtime.RELIABLE)
+        self._telemetry = TelemetryInput(self)
         capture = self.config.capture_node
         self._do_ffc = self.create_client(Trigger, f"{capture}/do_ffc")
         self._inhibit_ffc = self.create_client(SetBool, f"{capture}/inhibit_ffc")
@@ -142,26 +138,6 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
             self._start_again()
             self.watch_inputs([])
 
-    def _on_status(self, message: DiagnosticArray) -> None:
-        stamp_ns = conversions.stamp_from_msg(message.header.stamp)
-        for status in message.status:
-            if status.hardware_id in EYES:
-                told = telemetry_from_values({pair.key: pair.value for pair in status.values})
-                if told is not None:
-                    self._telemetry[status.hardware_id] = (stamp_ns, told)
-
-    def _telemetry_at(self, eye: str, stamp_ns: int) -> Telemetry | None:
-        """What is still true of what the camera last told: its status follows the image."""
-        told_ns, told = self._telemetry.get(eye, (0, None))
-        age_ns = abs(stamp_ns - told_ns)
-        if told is None or age_ns > TEMPERATURE_AGE_NS:
-            return None
-        return Telemetry(
-            told.fpa_temperature_kelvin,
-            told.housing_temperature_kelvin,
-            told.ffc_state if age_ns <= STATE_AGE_NS else None,
-        )
-
     def _on_image(self, eye: str, topic: str, message: Image) -> None:
         self.saw(topic)
         stamp_ns = conversions.stamp_from_msg(message.header.stamp)
@@ -177,7 +153,7 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
         self._arrival_s[eye] = time.monotonic()
         try:
             image = conversions.image_from_msg(message)
-            telemetry = self._telemetry_at(eye, stamp_ns)
+            telemetry = self._telemetry.at(eye, stamp_ns)
             raw = RawFrame(image, stamp_ns, eye, self._received[eye], telemetry)
             self._received[eye] += 1
             self._process(eye, raw, message.header.frame_id)
