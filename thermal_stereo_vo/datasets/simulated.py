@@ -8,6 +8,7 @@ from dataclasses import replace
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.frames import RawFrame
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.datasets.options import SourceOptions
 from thermal_stereo_vo.simulation.presets import find_preset
@@ -28,6 +29,11 @@ class SimulatedDataset:
 
     def frames(self) -> Iterator[RawFrame]:
         return self.simulation.frames()
+
+    def imu(self) -> Iterator[ImuSample]:
+        """Turn rates in axes of ``base_link``."""
+        for measured in self.simulation.inertial():
+            yield ImuSample(measured.stamp_ns, measured.rate_rad_s)
 
     def ground_truth(self) -> Trajectory:
         return self.simulation.ground_truth()

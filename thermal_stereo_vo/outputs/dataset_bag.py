@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from thermal_stereo_vo.core.camera_info import infos_from_calibration
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration, default_T_base_rig
@@ -17,15 +18,26 @@ from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rec
 TRUTH_TOPIC = "/ground_truth"
 
 
+class BagFeed(Protocol):
+    """Further messages that go into the bag between the images."""
+
+    def write(self, bag: BagWriter, up_to_ns: int | None) -> None:
+        """Write those up to a stamp, or all that are left."""
+
+
 def write_dataset(
-    dataset: Dataset, path: Path, on_image: Callable[[], object] = lambda: None
+    dataset: Dataset,
+    path: Path,
+    on_image: Callable[[], object] = lambda: None,
+    feeds: Sequence[BagFeed] = (),
 ) -> int:
     """Write images, ``camera_info``, telemetry and truth; returns the number of images.
 
     Images go to ``/<role>/image_raw``, true poses to ``/ground_truth`` (``base_link`` in ``odom``
     axes).  The calibration gets the R and P that the rectifier would use, so that ``camera_info``
     says all of a stereo pair; it also lies as ``rig.yaml`` in the bag's folder.  ``on_image`` is
-    called after each image.  Nothing is left behind after an error.
+    called after each image; ``feeds`` add what else there is.  Nothing is left behind after an
+    error.
 
     Raises DatasetError when ``path`` exists, and what the dataset raises.
     """
@@ -40,7 +52,8 @@ def write_dataset(
         if calibration is not None:
             bag.write_calibration(calibration)
         for frame in dataset.frames():
-            truth.write(bag, frame.stamp_ns)
+            for feed in (truth, *feeds):
+                feed.write(bag, frame.stamp_ns)
             camera, frame_id = f"/{frame.camera}", f"{frame.camera}_optical"
             bag.write_image(f"{camera}/image_raw", frame.stamp_ns, frame.image, frame_id)
             if frame.camera in infos:
@@ -52,7 +65,8 @@ def write_dataset(
                 bag.write_diagnostics(f"{camera}/status", status)
             count += 1
             on_image()
-        truth.write(bag, None)
+        for feed in (truth, *feeds):
+            feed.write(bag, None)
     return count
 
 

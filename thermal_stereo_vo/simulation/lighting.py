@@ -16,10 +16,10 @@ from thermal_stereo_vo.simulation.shading import Light, open_field
 from thermal_stereo_vo.simulation.weather import Weather
 
 _SHADOW_CELL_M = 0.25
-_OPENNESS_CELL_M = 1.0
+_OPENNESS_CELL_M = 1.2
 _SHADOW_BLUR_M = 0.3
 _ABOVE_M = 400.0
-_SKY_RAYS = 32
+_SKY_RAYS = 20
 _MARGIN_M = 40.0
 
 

@@ -44,7 +44,7 @@ def value_noise(lattice: NDArray[np.float32], a: float, b: float) -> float:
     j1 = ((int(fb) + 1) & _MASK) << LATTICE_BITS
     low = lattice[j0 + i0] + u * (lattice[j0 + i1] - lattice[j0 + i0])
     high = lattice[j1 + i0] + u * (lattice[j1 + i1] - lattice[j1 + i0])
-    return low + v * (high - low)
+    return float(low + v * (high - low))
 
 
 def value_noise_reference(

@@ -71,14 +71,14 @@ def _roof(
             b.box([x, y, height + 0.4], [x + 0.9, y + 0.7, height + 1.3], Material.POLE,
                   T_map_object=T, offset_kelvin=rng.uniform(0.0, 8.0))  # fmt: skip
         return
-    rise, over = 0.45 * d * 1.2, 0.45
+    rise, over = 0.54 * d, 0.45
     ridge = height + rise
-    low = height - over * rise / d
+    eaves = height - over * rise / d
     x0, x1 = -w - over, w + over
     slopes = np.array(
         [
-            [[x0, -d - over, low], [x1, -d - over, low], [x1, 0, ridge], [x0, 0, ridge]],
-            [[x1, d + over, low], [x0, d + over, low], [x0, 0, ridge], [x1, 0, ridge]],
+            [[x0, -d - over, eaves], [x1, -d - over, eaves], [x1, 0, ridge], [x0, 0, ridge]],
+            [[x1, d + over, eaves], [x0, d + over, eaves], [x0, 0, ridge], [x1, 0, ridge]],
         ]
     )
     b.quads(_at(T, slopes), Material.ROOF_TILE, offset_kelvin=rng.normal(0.0, 1.0, (2, 1)))
@@ -89,7 +89,7 @@ def _roof(
             [[w, -d, height], [w, d, height], [w, 0, ridge - 0.1]],
         ]
     )
-    b.triangles(_at(T, ends), Material.PLASTER, surface=np.array([0, 1], np.int32))
+    b.triangles(_at(T, ends), Material.PLASTER, one_surface=False)
     x = rng.uniform(-0.6, 0.6) * w
     warm = rng.uniform(2.0, 14.0)
     b.box([x, -0.4, ridge - 1.0], [x + 0.8, 0.4, ridge + 1.1], Material.BRICK, T_map_object=T,
@@ -98,9 +98,9 @@ def _roof(
         if rng.random() < 0.6:
             xs = rng.uniform(-0.7, 0.4) * w
             f = np.array([[0.35, 0.0], [0.35, 1.0], [0.6, 1.0], [0.6, 0.0]])
-            y = side * (d + over) * (1 - f[:, 0])
-            z = low + (ridge - low) * f[:, 0] + 0.06
-            window = np.column_stack([xs + f[:, 1] * 0.9, y, z])
+            out = side * (d + over) * (1 - f[:, 0])
+            up = eaves + (ridge - eaves) * f[:, 0] + 0.06
+            window = np.column_stack([xs + f[:, 1] * 0.9, out, up])
             if side > 0:
                 window = window[::-1]
             b.quads(_at(T, window[::-1]), Material.GLASS, offset_kelvin=rng.normal(0.0, 2.0))
@@ -174,7 +174,8 @@ def tree(b: MeshBuilder, T: Floats, height_m: float, leaves: int, rng: np.random
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     far = crown * 0.6 * rng.random((leaves, 1)) ** 0.45
     centres = clumps[which] + way * far
-    size = crown * rng.uniform(0.07, 0.15, leaves)
+    # Fewer leaves are larger ones: the crown stays as dense.
+    size = crown * rng.uniform(0.7, 1.4, leaves) * 3.0 / np.sqrt(leaves) * 0.9
     heat = rng.normal(0.0, 1.0, 9)[which] + rng.normal(0.0, 0.8, leaves)
     leaf_cards(b, _at(T, centres), size, heat, Material.FOLIAGE, rng)
 
@@ -195,7 +196,7 @@ def leaf_cards(
         axis=1,
     )
     b.triangles(cards, material, offset_kelvin=offset_kelvin[:, None],
-                surface=np.arange(n, dtype=np.int32))  # fmt: skip
+                one_surface=False)  # fmt: skip
 
 
 def hedge(
@@ -311,7 +312,7 @@ def _wheel(b: MeshBuilder, T: Floats, x: float, y: float, s: float, warm: float)
 def person(b: MeshBuilder, T: Floats, rng: np.random.Generator, air_kelvin: float) -> None:
     """A standing person; clothes lie between air and skin."""
     skin = 305.5 - air_kelvin
-    clothes = 0.35 * skin
+    clothes = 0.22 * skin
     tall = rng.uniform(1.6, 1.9)
     hip, shoulder = 0.48 * tall, 0.82 * tall
 
@@ -351,7 +352,7 @@ def sign(b: MeshBuilder, T: Floats, rng: np.random.Generator) -> None:
         [np.full(sides, -0.05), 0.36 * np.cos(angles), 2.45 + 0.36 * np.sin(angles)]
     )
     for plate, shift, kelvin in ((ring[::-1], 0.0, -2.0), (ring, 0.08, -1.0)):
-        plate = plate + [shift, 0.0, 0.0]
+        plate = plate + np.array([shift, 0.0, 0.0])
         fan = np.stack([np.repeat(plate[:1], sides - 2, axis=0), plate[1:-1], plate[2:]], axis=1)
         b.triangles(_at(T, fan), Material.CAR_PAINT, offset_kelvin=kelvin)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ def cached_signals(
         rendered.close()
 
 
-def _mapped(path: Path, dtype: type, shape: tuple[int, ...]) -> NDArray[np.generic]:
+def _mapped(path: Path, dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if not path.exists() or path.stat().st_size != size:
         fresh = np.memmap(path, dtype, "w+", shape=shape)

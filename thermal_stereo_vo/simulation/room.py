@@ -20,52 +20,58 @@ def build_room(seed: int, air_kelvin: float, *, person: bool) -> Scene:
     """A room about the origin; the rig looks along +x.  ``person`` seats somebody at the desk."""
     rng = np.random.default_rng([seed, 6])
     b = MeshBuilder()
-    l, w, h = _LENGTH_M / 2, _WIDTH_M / 2, _HEIGHT_M
+    depth, w, h = _LENGTH_M / 2, _WIDTH_M / 2, _HEIGHT_M
     for corners, material, kelvin in (
-        ([[l, w, 0], [l, -w, 0], [l, -w, h], [l, w, h]], Material.WALL, 0.0),
-        ([[-l, -w, 0], [-l, w, 0], [-l, w, h], [-l, -w, h]], Material.WALL, 0.3),
-        ([[-l, w, 0], [l, w, 0], [l, w, h], [-l, w, h]], Material.WALL, -1.2),
-        ([[l, -w, 0], [-l, -w, 0], [-l, -w, h], [l, -w, h]], Material.WALL, 0.2),
-        ([[-l, -w, 0], [l, -w, 0], [l, w, 0], [-l, w, 0]], Material.FLOOR, 0.0),
-        ([[-l, w, h], [l, w, h], [l, -w, h], [-l, -w, h]], Material.WALL, 1.0),
+        ([[depth, w, 0], [depth, -w, 0], [depth, -w, h], [depth, w, h]], Material.WALL, 0.0),
+        ([[-depth, -w, 0], [-depth, w, 0], [-depth, w, h], [-depth, -w, h]], Material.WALL, 0.3),
+        ([[-depth, w, 0], [depth, w, 0], [depth, w, h], [-depth, w, h]], Material.WALL, -1.2),
+        ([[depth, -w, 0], [-depth, -w, 0], [-depth, -w, h], [depth, -w, h]], Material.WALL, 0.2),
+        ([[-depth, -w, 0], [depth, -w, 0], [depth, w, 0], [-depth, w, 0]], Material.FLOOR, 0.0),
+        ([[-depth, w, h], [depth, w, h], [depth, -w, h], [-depth, -w, h]], Material.WALL, 1.0),
     ):
         b.quads(np.array(corners, float), material, offset_kelvin=kelvin)
-    _far_wall(b, l, w, rng)
-    _windows(b, l, w, rng)
-    _shelf(b, l, w, rng)
-    _desk(b, placed(l - 1.3, 0.4, 0.0), rng)
-    _desk(b, placed(l - 1.2, -1.9, 0.0), rng)
+    _far_wall(b, depth, w, rng)
+    _windows(b, depth, w, rng)
+    _shelf(b, depth, w, rng)
+    _desk(b, placed(depth - 1.3, 0.4, 0.0), rng)
+    _desk(b, placed(depth - 1.2, -1.9, 0.0), rng)
     for x in (-1.5, 1.5):
         for y in (-1.5, 1.5):  # lamps
             b.box([x - 0.6, y - 0.15, h - 0.06], [x + 0.6, y + 0.15, h - 0.01], Material.PLASTIC,
                   offset_kelvin=9.0)  # fmt: skip
-    plant = placed(l - 0.6, w - 0.6, 0.0)
-    b.cylinder(plant[:3, 3], plant[:3, 3] + [0, 0, 0.4], 0.18, Material.PLASTIC)
-    leaves = plant[:3, 3] + [0, 0, 0.95] + rng.normal(0.0, 0.22, (220, 3))
+    plant = placed(depth - 0.6, w - 0.6, 0.0)
+    b.cylinder(plant[:3, 3], plant[:3, 3] + np.array([0, 0, 0.4]), 0.18, Material.PLASTIC)
+    leaves = plant[:3, 3] + np.array([0, 0, 0.95]) + rng.normal(0.0, 0.22, (220, 3))
     objects.leaf_cards(b, leaves, rng.uniform(0.03, 0.08, 220), rng.normal(-1.0, 0.5, 220),
                        Material.FOLIAGE, rng)  # fmt: skip
     if person:
-        objects.person(b, placed(l - 2.1, 0.2, -0.45, 0.3), rng, air_kelvin)
+        objects.person(b, placed(depth - 2.1, 0.2, -0.45, 0.3), rng, air_kelvin)
     return Scene(b.build())
 
 
-def _far_wall(b: MeshBuilder, l: float, w: float, rng: np.random.Generator) -> None:
-    x = l - 0.012
+def _at(T: Floats, points: Floats) -> Floats:
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def _far_wall(b: MeshBuilder, depth: float, w: float, rng: np.random.Generator) -> None:
+    x = depth - 0.012
     for _ in range(9):
         y, z = rng.uniform(-w + 0.5, w - 0.5), rng.uniform(1.2, 2.4)
         a, c = rng.uniform(0.15, 0.45), rng.uniform(0.15, 0.4)
-        b.quads(np.array([[x, y + a, z - c], [x, y - a, z - c], [x, y - a, z + c], [x, y + a, z + c]]),
-                Material.POSTER, offset_kelvin=rng.normal(0.0, 0.25))  # fmt: skip
-    b.box([l - 0.07, -w + 0.3, 0.35], [l, -w + 0.42, 2.2], Material.PLASTIC, offset_kelvin=4.0)
+        sheet = [[x, y + a, z - c], [x, y - a, z - c], [x, y - a, z + c], [x, y + a, z + c]]
+        b.quads(np.array(sheet), Material.POSTER, offset_kelvin=rng.normal(0.0, 0.25))  # fmt: skip
+    b.box(
+        [depth - 0.07, -w + 0.3, 0.35], [depth, -w + 0.42, 2.2], Material.PLASTIC, offset_kelvin=4.0
+    )
     for z in (0.3, 0.42):  # heating pipes, and sockets
-        b.cylinder([l - 0.05, -w, z], [l - 0.05, w, z], 0.012, Material.HOT_METAL,
+        b.cylinder([depth - 0.05, -w, z], [depth - 0.05, w, z], 0.012, Material.HOT_METAL,
                    offset_kelvin=11.0)  # fmt: skip
     for y in np.arange(-w + 0.6, w, 0.9):
-        b.box([l - 0.02, y, 0.9], [l, y + 0.1, 1.0], Material.PLASTIC,
+        b.box([depth - 0.02, y, 0.9], [depth, y + 0.1, 1.0], Material.PLASTIC,
               offset_kelvin=rng.uniform(0.0, 2.5))  # fmt: skip
 
 
-def _windows(b: MeshBuilder, l: float, w: float, rng: np.random.Generator) -> None:
+def _windows(b: MeshBuilder, depth: float, w: float, rng: np.random.Generator) -> None:
     y = w - 0.02
     for x in (-2.4, -0.4, 1.6):
         for material, grow, out, kelvin in (
@@ -80,8 +86,8 @@ def _windows(b: MeshBuilder, l: float, w: float, rng: np.random.Generator) -> No
                   Material.HOT_METAL, offset_kelvin=18.0 + rng.normal(0.0, 1.0))  # fmt: skip
 
 
-def _shelf(b: MeshBuilder, l: float, w: float, rng: np.random.Generator) -> None:
-    T = placed(l - 0.25, -w + 1.3, 0.0)
+def _shelf(b: MeshBuilder, depth: float, w: float, rng: np.random.Generator) -> None:
+    T = placed(depth - 0.25, -w + 1.3, 0.0)
     for z in (0.02, 0.45, 0.9, 1.35, 1.8):
         b.box([-0.2, -0.6, z], [0.2, 0.6, z + 0.03], Material.WOOD, T_map_object=T)
         y = -0.58
@@ -104,14 +110,14 @@ def _desk(b: MeshBuilder, T: Floats, rng: np.random.Generator) -> None:
               offset_kelvin=4.0)  # fmt: skip
         pane = np.array([[0.095, y + 0.28, 0.88], [0.095, y - 0.28, 0.88],
                          [0.095, y - 0.28, 1.2], [0.095, y + 0.28, 1.2]])  # fmt: skip
-        b.quads(pane @ T[:3, :3].T + T[:3, 3], Material.SCREEN,
+        b.quads(_at(T, pane), Material.SCREEN,
                 offset_kelvin=np.array([[2.0, -1.0, 1.0, 3.0]]))  # fmt: skip
         b.box([0.08, y - 0.04, 0.74], [0.13, y + 0.04, 0.86], Material.PLASTIC, T_map_object=T)
     for k in range(4):  # keys in rows, a mouse, cups
         b.box([-0.2 + 0.04 * k, -0.6, 0.74], [-0.17 + 0.04 * k, -0.15, 0.757], Material.PLASTIC,
               T_map_object=T, offset_kelvin=1.0)  # fmt: skip
-    foot = np.array([-0.1, 0.55, 0.74])
-    b.cylinder(foot @ T[:3, :3].T + T[:3, 3], (foot + [0, 0, 0.1]) @ T[:3, :3].T + T[:3, 3], 0.04,
-               Material.PLASTIC, sides=12, offset_kelvin=float(rng.choice([0.0, 20.0])))  # fmt: skip
+    cup = _at(T, np.array([[-0.1, 0.55, 0.74], [-0.1, 0.55, 0.84]]))
+    b.cylinder(cup[0], cup[1], 0.04, Material.PLASTIC, sides=12,
+               offset_kelvin=float(rng.choice([0.0, 20.0])))  # fmt: skip
     b.box([-0.3, 0.6, 0.0], [0.15, 0.8, 0.45], Material.PLASTIC, T_map_object=T,
           offset_kelvin=[6.0, 1.5, 2.0, 2.0, 0.0, 4.0])  # fmt: skip

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.simulation.trajectory import Motion
 
 _ZERO_CELSIUS_KELVIN = 273.15
+PICTURE_VERSION = 2
+"""Raised whenever the same settings give other pictures, so that old caches are refused."""
+
 _IN_PICTURE = (
     "rate_hz",
     "world.",
@@ -71,7 +74,7 @@ class RunPlan:
             for path, value in flatten(self.config).items()
             if path.startswith(_IN_PICTURE)
         }
-        values["preset"] = self.preset
+        values |= {"preset": self.preset, "version": PICTURE_VERSION}
         text = json.dumps(values, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

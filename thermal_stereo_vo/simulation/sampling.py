@@ -161,7 +161,9 @@ def store_hits(
 def _agree(surface: NDArray[np.int32], p: int, right: int, down: int) -> bool:
     """Whether four corners, ``right`` and ``down`` from each other, show one surface."""
     s = surface[p]
-    return s == surface[p + right] and s == surface[p + down] and s == surface[p + down + right]
+    return bool(
+        s == surface[p + right] and s == surface[p + down] and s == surface[p + down + right]
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -405,7 +407,7 @@ def shade_samples(
 def _owner(facets: Facets, triangle: int) -> int:
     if triangle < facets.first_moving:
         return -1
-    return facets.mover[triangle - facets.first_moving]
+    return int(facets.mover[triangle - facets.first_moving])
 
 
 class LensModel(NamedTuple):

@@ -60,6 +60,7 @@ class Band(NamedTuple):
     cloud_variation: float
     extinction_per_m: float
     illumination: float
+    ambient: float
     sunshine: float
     sun: NDArray[np.float64]
 
@@ -102,6 +103,7 @@ def thermal_band(
         weather.cloud_variation,
         weather.extinction_per_m,
         weather.illumination,
+        weather.ambient,
         weather.sun,
         weather.sun_direction,
     )
@@ -178,7 +180,7 @@ def texture(
             2.0 * (OCTAVE_COS * da - OCTAVE_SIN * db),
             2.0 * (OCTAVE_SIN * da + OCTAVE_COS * db),
         )
-    return value
+    return float(value)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -207,13 +209,13 @@ def _tiles(
     width = max(_LINE_HALF_WIDTH_M, footprint_m)
     if edge_m < width:
         value += row[_JOINTS] * _LINE_HALF_WIDTH_M / width * (1.0 - edge_m / width) * fade
-    return value
+    return float(value)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def planck(planck_r: float, kelvin: float) -> float:
     """Counts of a black body."""
-    return planck_r / (np.exp(PLANCK_B_KELVIN / kelvin) - PLANCK_F)
+    return float(planck_r / (np.exp(PLANCK_B_KELVIN / kelvin) - PLANCK_F))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -221,7 +223,7 @@ def sky_radiance(band: Band, dx: float, dy: float, dz: float, clouds: bool) -> f
     """Radiance of the sky in a unit direction, in the unit of the band."""
     sine = max(dz, 0.03)
     if not band.thermal:
-        return band.illumination * (0.9 - 0.35 * min(sine, 1.0))
+        return float(band.illumination * (0.9 - 0.35 * min(sine, 1.0)))
     # Plane-parallel air: the path, and so its optical depth, grows as 1 / sin(elevation).
     emissivity = 1.0 - (1.0 - min(band.sky_emissivity, 0.999)) ** (1.0 / sine)
     if clouds and band.cloud_variation > 0.0:
@@ -234,7 +236,7 @@ def sky_radiance(band: Band, dx: float, dy: float, dz: float, clouds: bool) -> f
             x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
             amplitude *= 0.55
         emissivity += band.cloud_variation * n * (1.0 - emissivity) ** 0.5
-    return min(max(emissivity, 0.05), 1.0) * planck(band.planck_r, band.air_kelvin)
+    return float(min(max(emissivity, 0.05), 1.0) * planck(band.planck_r, band.air_kelvin))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -260,7 +262,7 @@ def _sunlit(light: Light, sun: NDArray[np.float64], x: float, y: float, z: float
         (1 - u) * s[i + 1, j, 1] + u * s[i + 1, j + 1, 1]
     )
     variance = max(square - mean * mean, 1e-3)
-    return variance / (variance + below * below)
+    return float(variance / (variance + below * below))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -280,7 +282,7 @@ def _open_sky(light: Light, x: float, y: float, z: float) -> float:
         (1 - u) * s[i + 1, j, 0] + u * s[i + 1, j + 1, 0]
     )
     high = min(max((z - s[i, j, 1]) / 6.0, 0.0), 1.0)
-    return part + (1.0 - part) * high
+    return float(part + (1.0 - part) * high)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -357,11 +359,9 @@ def shade(
     if not band.thermal:
         reflectance = min(max(row[_BASE] * (1.0 + variation), 0.01), 0.95)
         share = 0.7 * band.sunshine
-        return (
-            band.illumination
-            * reflectance
-            * ((1.0 - share) * (0.15 + 0.85 * up) + share * towards_sun)
-        )
+        diffuse = band.ambient + (1.0 - band.ambient) * up
+        light_here = (1.0 - share) * diffuse + share * towards_sun
+        return float(band.illumination * reflectance * light_here)
 
     kelvin = row[_BASE] + row[_OFFSET] * offset_kelvin + variation
     kelvin += row[_SUN] * towards_sun + row[_DAYLIGHT] * up - row[_SKY] * up * up
@@ -381,4 +381,4 @@ def shade(
     if band.extinction_per_m > 0.0:
         through = np.exp(-band.extinction_per_m * distance_m)
         radiance = through * radiance + (1.0 - through) * air
-    return radiance
+    return float(radiance)

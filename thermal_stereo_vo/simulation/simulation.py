@@ -12,6 +12,12 @@ from thermal_stereo_vo.core.frames import CameraView, RawFrame, RigFrame
 from thermal_stereo_vo.core.trajectory import Trajectory
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
+from thermal_stereo_vo.simulation.navigation import (
+    Fix,
+    Inertial,
+    inertial_measurements,
+    satellite_fixes,
+)
 from thermal_stereo_vo.simulation.radiance_cache import cached_signals
 from thermal_stereo_vo.simulation.run import plan_run
 from thermal_stereo_vo.simulation.schedule import (
@@ -65,9 +71,19 @@ class Simulation:
         stamps = np.array([stamp_ns(exposure.time_s) for exposure in first], dtype=np.int64)
         return Trajectory(stamps, inverse(poses[0]) @ poses)
 
+    def inertial(self) -> Iterator[Inertial]:
+        """Measurements of the inertial unit, in axes of ``base_link``."""
+        return inertial_measurements(
+            self.plan.motion, self.duration_s, self.config.navigation, self.seed
+        )
+
+    def fixes(self) -> Iterator[Fix]:
+        """Fixes of the satellite receiver."""
+        return satellite_fixes(self.plan.motion, self.duration_s, self.config.navigation, self.seed)
+
     def frames(self) -> Iterator[RawFrame]:
         """All frames of all cameras in order of their stamps."""
-        sensors = [self._sensor(camera) for camera in range(len(self.plan.roles))]
+        sensors = [self.sensor(camera) for camera in range(len(self.plan.roles))]
         kept = [e for e in in_order(self._exposures) if not e.dropped]
         seen = [e for e in kept if not sensors[e.camera].blind(e)]
         signals = cached_signals(self.plan, seen, self.instants)
@@ -81,16 +97,19 @@ class Simulation:
         finally:
             signals.close()
 
-    def _sensor(self, camera: int) -> _VisibleSensor | _ThermalSensor:
+    def sensor(self, camera: int, *, corrections: bool = True) -> VisibleSensor | ThermalSensor:
+        """A fresh sensor of one camera, with or without its flat-field corrections."""
         if self.plan.roles[camera] == VISIBLE:
-            return _VisibleSensor(self, camera)
-        return _ThermalSensor(self, camera)
+            return VisibleSensor(self, camera)
+        return ThermalSensor(self, camera, self.corrections_s(camera) if corrections else ())
 
 
-class _ThermalSensor:
+class ThermalSensor:
     """A thermal camera of the rig; 8-bit output goes through a gain control of its own."""
 
-    def __init__(self, simulation: Simulation, camera: int) -> None:
+    def __init__(
+        self, simulation: Simulation, camera: int, corrections_s: tuple[float, ...]
+    ) -> None:
         config, plan = simulation.config, simulation.plan
         self._role = plan.roles[camera]
         self._lens = plan.rig[self._role].camera
@@ -100,7 +119,7 @@ class _ThermalSensor:
             config.ffc,
             (self._lens.height, self._lens.width),
             simulation.fpa(camera),
-            simulation.corrections_s(camera),
+            corrections_s,
             (simulation.seed, 20, camera),
         )
         self._gain: AutomaticGain | None = None
@@ -129,7 +148,7 @@ class _ThermalSensor:
         return RawFrame(image, exposure.stamp_ns, self._role, exposure.index, telemetry)
 
 
-class _VisibleSensor:
+class VisibleSensor:
     """The visible camera of the rig."""
 
     def __init__(self, simulation: Simulation, camera: int) -> None:

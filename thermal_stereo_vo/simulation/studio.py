@@ -68,10 +68,12 @@ class Studio:
         config = self._plan.config
         samples = config.render.lag_samples
         if role == VISIBLE:
-            memory_s, delays, step = self._exposure_s, uniform_delays(samples), visible_camera
+            memory_s, delays = self._exposure_s, uniform_delays(samples)
+            step = visible_camera.SIGNAL_STEP
         else:
             memory_s = config.thermal.time_constant_ms * 1e-3
-            delays, step = exponential_delays(samples), thermal_camera
+            delays = exponential_delays(samples)
+            step = thermal_camera.SIGNAL_STEP
         sharp = self.render(role, time_s)
         radiance = sharp.radiance
         if config.render.lag == "rendered" and memory_s > 0.0:
@@ -81,7 +83,7 @@ class Studio:
             radiance = (total / samples).astype(np.float32)
         elif config.render.lag == "reprojected" and memory_s > 0.0:
             radiance = self._smeared(role, sharp, time_s, memory_s, delays)
-        signal = np.rint(radiance / np.float32(step.SIGNAL_STEP))
+        signal = np.rint(radiance / np.float32(step))
         return Picture(np.clip(signal, 0, 65535).astype(np.uint16), sharp)
 
     def _band(self, role: str) -> Band:

@@ -94,18 +94,19 @@ def heated_mask(board: Board, warm_kelvin: float, frame_m: float = 0.08) -> Mesh
     for i in range(len(rows) - 1):
         for j in range(len(columns) - 1):
             if not (i % 2 and j % 2):
-                faces.append(_facing(columns[j], rows[i], columns[j + 1], rows[i + 1], 0.0))
+                piece = _facing(columns[j], rows[i], columns[j + 1], rows[i + 1], 0.0)
+                faces.append(piece)
     b.quads(np.concatenate(faces), Material.MDF, one_surface=True)
     cut = 0.6 * s
     mark = np.array([-half[0] + 0.75 * frame_m, -half[1] + 0.75 * frame_m, -0.0005])
     b.triangles(
-        np.array([[mark, mark + [0.0, cut, 0.0], mark + [cut, 0.0, 0.0]]]),
+        mark + np.array([[[0.0, 0.0, 0.0], [0.0, cut, 0.0], [cut, 0.0, 0.0]]]),
         Material.HEATED_PANEL,
         offset_kelvin=warm_kelvin,
     )
     edges = []
     for hole in holes:  # the walls of the holes
-        deep = hole + [0.0, 0.0, _THICK_M]
+        deep = hole + np.array([0.0, 0.0, _THICK_M])
         edges += [
             np.array([hole[k], deep[k], deep[(k + 1) % 4], hole[(k + 1) % 4]]) for k in range(4)
         ]
@@ -165,7 +166,7 @@ def blackbody_scene(step_s: float | None = None, step_kelvin: float = 0.0) -> Sc
     """A black wall all round at air temperature; ``step_kelvin`` warmer from ``step_s`` on."""
     b = MeshBuilder()
     b.box([-2.0, -2.0, -2.0], [2.0, 2.0, 2.0], Material.BLACKBODY)
-    heating = ()
+    heating: tuple[Heating, ...] = ()
     if step_s is not None:
         start = step_s
 

@@ -245,7 +245,7 @@ def smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np
     field = np.zeros(shape)
     for term in terms:
         field += rng.standard_normal() * (term - term.mean()) / term.std()
-    return (field - field.mean()) / field.std()
+    return np.asarray((field - field.mean()) / field.std())
 
 
 def _dome(shape: tuple[int, int]) -> NDArray[np.float64]:

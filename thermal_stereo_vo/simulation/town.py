@@ -7,6 +7,7 @@ depend on how much of it is built.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,7 +28,7 @@ ROAD_HALF_M, PAVEMENT_M = 4.5, 2.0
 _BORDER_M = ROAD_HALF_M + PAVEMENT_M
 _KERB_M = 0.12
 _REACH_M = 110.0
-_FINE_REACH_M = 45.0
+_NEAR_M, _MIDDLE_M = 14.0, 40.0
 
 
 @dataclass(frozen=True)
@@ -114,9 +115,10 @@ class _Town:
             ],
             axis=2,
         )
+        tracks = _wheel_tracks(corners[..., :2])
         for kind in np.unique(material):
-            cells = corners[material == kind]
-            self._b.quads(cells, int(kind), one_surface=True)
+            here = material == kind
+            self._b.quads(corners[here], int(kind), one_surface=True, offset_kelvin=tracks[here])
         for axis in (0, 1):
             self._kerbs(corners, raised, axis)
 
@@ -177,7 +179,8 @@ class _Town:
 
     def _tree(self, x: float, y: float, rng: np.random.Generator) -> None:
         away = self._distance(x, y)
-        leaves = int(self._options.density * (900 if away < _FINE_REACH_M else 350))
+        fine = 2400 if away < _NEAR_M else 900 if away < _MIDDLE_M else 300
+        leaves = int(self._options.density * fine)
         # Crowns (up to 0.46 of the height) keep clear of the flight.
         tallest = min(11.0, (away - 1.5) / 0.46)
         if tallest > 4.0:
@@ -304,6 +307,11 @@ class _Town:
         for _ in range(7):
             paint(rng.uniform(start, stop), rng.uniform(-3.2, 3.2), rng.uniform(0.4, 2.5),
                   rng.uniform(0.3, 0.9), Material.PATCH, rng.normal(0.0, 0.8))  # fmt: skip
+        for side in (-1, 1):  # tarred seams
+            paint((start + stop) / 2, side * rng.uniform(2.9, 3.4), (stop - start) / 2, 0.03,
+                  Material.PATCH, -1.5)  # fmt: skip
+        for _ in range(5):
+            self._tar(at, rng.uniform(start, stop), rng.uniform(-3.5, 3.5), rng)
         for _ in range(3):  # manhole covers
             paint(rng.uniform(start, stop), rng.uniform(-2.5, 2.5), 0.32, 0.32, Material.POLE,
                   rng.uniform(0.0, 4.0))  # fmt: skip
@@ -339,6 +347,28 @@ class _Town:
                         self._tree(x, y, rng)
         self._wires(at, length, rng)
 
+    def _tar(
+        self, at: Callable[[float, float], tuple[float, float]], s: float, offset: float,
+        rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        """A crack filled with tar, wandering over the road."""
+        heading = rng.uniform(0.0, np.pi)
+        for _ in range(int(rng.integers(4, 12))):
+            heading += rng.normal(0.0, 0.5)
+            t, other = s + 0.7 * np.cos(heading), offset + 0.7 * np.sin(heading)
+            if abs(other) > ROAD_HALF_M - 0.1:
+                return
+            a, c = np.array(at(s, offset)), np.array(at(t, other))
+            across = np.array([a[1] - c[1], c[0] - a[0]])
+            across *= 0.025 / np.linalg.norm(across)
+            flat = np.array([a - across, c - across, c + across, a + across])
+            z = height_m(flat[:, 0], flat[:, 1]) + 0.014
+            corners = np.column_stack([flat, z])
+            if np.cross(corners[1] - corners[0], corners[2] - corners[0])[2] < 0.0:
+                corners = corners[::-1]
+            self._b.quads(corners, Material.PATCH, offset_kelvin=-2.0)
+            s, offset = t, other
+
     def _wires(self, at: object, length: float, rng: np.random.Generator) -> None:
         """Telegraph poles and sagging wires along one side."""
         if rng.random() > 0.5 or not callable(at):
@@ -351,12 +381,12 @@ class _Town:
             top = T[:3, 3] + [0.0, 0.0, 7.5]
             self._b.cylinder(T[:3, 3] - [0, 0, 0.3], top, 0.12, Material.BARK, top_radius_m=0.09)
             heads.append(top)
-        for a, c in zip(heads[:-1], heads[1:], strict=True):
+        for a, c in itertools.pairwise(heads):
             for drop in (0.1, 0.5):
                 f = np.linspace(0.0, 1.0, 9)[:, None]
                 line = a + f * (c - a) - np.array([0, 0, 1.0]) * (drop + 1.6 * f * (1 - f))
-                for p, q in zip(line[:-1], line[1:], strict=True):
-                    self._b.cylinder(p, q, 0.012, Material.CABLE, sides=3)
+                pieces = np.stack([line[:-1], line[1:]], axis=1)
+                self._b.tubes(pieces, np.array([0.012, 0.012]), Material.CABLE, sides=3)
 
     def _traffic(self, low: Floats, high: Floats) -> None:
         """Cars in the lanes and people on the pavements, to and fro without end."""
@@ -410,8 +440,11 @@ def _grid_lines(low: float, high: float, pitch: float) -> Floats:
     first, last = int(np.floor(low / pitch)), int(np.ceil(high / pitch))
     lines = []
     for i in range(first, last + 1):
-        edges = [-_BORDER_M, -ROAD_HALF_M, 0.0, ROAD_HALF_M, _BORDER_M, pitch - _BORDER_M]
-        for a, c in zip(edges[:-1], edges[1:], strict=True):
+        edges = [
+            -_BORDER_M, -ROAD_HALF_M, -3.2, -2.45, -1.7, -0.95, -0.2, 0.2, 0.95, 1.7, 2.45, 3.2,
+            ROAD_HALF_M, _BORDER_M, pitch - _BORDER_M,
+        ]  # fmt: skip
+        for a, c in itertools.pairwise(edges):
             count = max(1, int(np.ceil((c - a) / 4.0)))
             lines.append(i * pitch + a + (c - a) * np.arange(count) / count)
     return np.concatenate(lines)
@@ -432,3 +465,14 @@ def _shuttle(
         return placed(x, y, float(height_m(x, y)) + above_m, yaw)
 
     return pose
+
+
+def _wheel_tracks(xy: Floats) -> Floats:
+    """Temperature along the lanes of a road: tyres keep two tracks of each lane warmer."""
+    along = []
+    for axis, pitch in ((0, PITCH_X_M), (1, PITCH_Y_M)):
+        off = np.abs(xy[..., axis] - pitch * np.round(xy[..., axis] / pitch))
+        along.append(np.interp(off, [0.0, 0.2, 0.95, 1.7, 2.45, 3.2], [0, 0, 1.6, 0.4, 1.6, 0]))
+        along.append((off > ROAD_HALF_M).astype(float))
+    # Only one of the two streets counts; none does on their crossing.
+    return np.asarray(along[0] * along[3] + along[2] * along[1])

@@ -7,6 +7,7 @@ Mellinger & Kumar 2011).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -145,40 +146,47 @@ def wander(
 
     The path stays within a box of ``size_m``; the rig keeps looking about ``yaw_rad``.
     """
-    count = int(np.ceil(duration_s / _KNOT_S)) + 2 * _DEGREE
-    smooth = np.exp(-0.5 * (np.arange(-12, 13) / 3.0) ** 2)
-    smooth /= np.sqrt(np.sum(smooth**2))
+    knot_s = 0.25
+    count = int(np.ceil(duration_s / knot_s)) + 2 * _DEGREE
 
-    def wave(columns: int, kernel: Floats) -> Floats:
-        white = rng.standard_normal((count + len(kernel) - 1, columns))
-        return np.column_stack([np.convolve(w, kernel, mode="valid") for w in white.T])
+    def wave(columns: int, width: float) -> Floats:
+        reach = int(4 * width)
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+        kernel /= np.sqrt(np.sum(kernel**2))
+        white = rng.standard_normal((columns, count + 2 * reach))
+        waves = [np.convolve(w, kernel, mode="valid") for w in white]
+        return np.column_stack(waves).astype(np.float64)
 
-    ramp = np.clip((np.arange(count) - _DEGREE) / 5.0, 0.0, 1.0)[:, None]
-    half = np.asarray(size_m, float) / 2.0
-    place = half * np.tanh(wave(3, smooth) * 0.8) * ramp
-    short = np.exp(-0.5 * (np.arange(-6, 7) / 1.6) ** 2)
-    angles = wave(3, short / np.sqrt(np.sum(short**2))) * np.array([1.0, 0.5, 0.35]) * ramp
-    knots = _knots(count)
+    ramp = np.clip((np.arange(count) - _DEGREE) / 8.0, 0.0, 1.0)[:, None]
+    place = np.asarray(size_m, float) / 2.0 * np.tanh(0.8 * wave(3, 6.0)) * ramp
+    # A slow look around, and the quick unrest of hands that makes most of the turn rate.
+    look = np.radians([14.0, 5.0, 3.0]) * wave(3, 10.0) * ramp
+    unrest = np.array([1.0, 0.6, 0.45]) * wave(3, 1.0) * ramp
+    knots = _knots(count, knot_s)
     times = np.linspace(0.0, duration_s, int(20 * duration_s))
-
     path = BSpline(knots, place, _DEGREE)
     speed = np.linalg.norm(np.diff(path(times), axis=0), axis=1).sum() / duration_s
     place *= speed_m_s / speed
-    trial = Motion(
-        BSpline(knots, place, _DEGREE), BSpline(knots, angles * 0.2, _DEGREE), duration_s
-    )
-    rates = [float(np.linalg.norm(trial.angular_velocity_rad_s(t))) for t in times[::4]]
-    angles *= 0.2 * np.radians(rotation_deg_s) / float(np.mean(rates))
-    return Motion(
-        BSpline(knots, place + np.asarray(centre_m, float), _DEGREE),
-        BSpline(knots, angles + np.array([yaw_rad, 0.0, 0.0]), _DEGREE),
-        duration_s,
-    )
+
+    def with_unrest(amount: float) -> Motion:
+        angles = look + amount * unrest + np.array([yaw_rad, 0.0, 0.0])
+        return Motion(
+            BSpline(knots, place + np.asarray(centre_m, float), _DEGREE),
+            BSpline(knots, angles, _DEGREE),
+            duration_s,
+        )
+
+    amount = 0.1
+    for _ in range(4):
+        motion = with_unrest(amount)
+        rates = [np.linalg.norm(motion.angular_velocity_rad_s(t)) for t in times[::4]]
+        amount *= np.radians(rotation_deg_s) / float(np.mean(rates))
+    return with_unrest(amount)
 
 
-def _knots(count: int) -> Floats:
+def _knots(count: int, knot_s: float = _KNOT_S) -> Floats:
     # Time 0 lies where the first full set of control points begins to act.
-    return (np.arange(count + _DEGREE + 1) - _DEGREE) * _KNOT_S
+    return np.asarray((np.arange(count + _DEGREE + 1) - _DEGREE) * knot_s, dtype=np.float64)
 
 
 def _spline_motion(
@@ -247,11 +255,11 @@ def _nominal(
 
 def _rounded(points: Floats) -> Floats:
     """The polyline every 0.1 m with corners replaced by arcs (quadratic Bezier)."""
-    pieces = []
+    pieces: list[Floats] = []
     previous = points[0]
-    for corner, following in zip(points[1:-1], points[2:], strict=True):
+    for corner, following in itertools.pairwise(points[1:]):
         into, out = corner - previous, following - corner
-        reach = min(_CORNER_M, 0.45 * np.linalg.norm(into), 0.45 * np.linalg.norm(out))
+        reach = min(_CORNER_M, *(0.45 * float(np.linalg.norm(part)) for part in (into, out)))
         a = corner - reach * into / np.linalg.norm(into)
         b = corner + reach * out / np.linalg.norm(out)
         pieces.append(np.linspace(previous, a, max(2, int(np.linalg.norm(a - previous) / 0.1))))
@@ -262,7 +270,7 @@ def _rounded(points: Floats) -> Floats:
     pieces.append(np.linspace(previous, end, max(2, int(np.linalg.norm(end - previous) / 0.1))))
     path = np.concatenate(pieces)
     step = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    return path[np.concatenate([[True], step > 1e-6])]
+    return np.asarray(path[np.concatenate([[True], step > 1e-6])])
 
 
 def _cut(path: Floats, length_m: float) -> Floats:

@@ -23,8 +23,8 @@ class VisibleCamera:
         self, config: VisibleCameraConfig, illumination: float, seed: tuple[int, ...]
     ) -> None:
         self._config, self._seed = config, seed
-        # A grey of 25 % shall come out at 45 % of the range.
-        wanted = 0.45 / 0.25 * config.full_well / (config.electrons * max(illumination, 1e-9))
+        # A grey of 25 % shall come out at 30 % of the range.
+        wanted = 0.30 / 0.25 * config.full_well / (config.electrons * max(illumination, 1e-9))
         self.exposure_s = float(min(wanted, config.longest_ms * 1e-3))
         self.gain = float(min(wanted / self.exposure_s, config.highest_gain))
 
@@ -43,4 +43,4 @@ class VisibleCamera:
         noise = rng.standard_normal(light.shape, np.float32)
         noisy = electrons + np.sqrt(electrons + config.read_noise**2, dtype=np.float32) * noise
         grey = noisy * np.float32(self.gain * 255.0 / config.full_well) + np.float32(2.0)
-        return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(np.rint(grey), 0, 255).astype(np.uint8))

@@ -19,9 +19,10 @@ class Weather:
     overcast near 1); the horizon always radiates like air.  ``cloud_variation`` is how much it
     varies between thin and thick cloud.  ``sky_cooling`` is the part of the clear-night loss that
     surfaces facing the sky suffer, ``heat_storage`` what walls and roads still hold from the day.
-    ``contrast`` scales the small-scale temperature texture; 1 is a sunny noon.
+    ``contrast`` scales the small-scale temperature texture; 1 is a bright day without sun.
     ``extinction_per_m`` is that of the air in 8-14 um.  ``illumination`` is the visible light
-    relative to full daylight, ``lamps`` says whether street lamps are lit.
+    relative to full daylight, ``ambient`` the part of it that comes from everywhere; ``lamps`` says
+    whether street lamps are lit.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Weather:
     extinction_per_m: float
     illumination: float
     lamps: bool
+    ambient: float = 0.15
     sun_elevation_deg: float = 35.0
     sun_azimuth_deg: float = 215.0
 
@@ -60,7 +62,7 @@ WEATHERS = {
             cloud_variation=0.08,
             sky_cooling=0.3,
             heat_storage=0.3,
-            contrast=1.0,
+            contrast=2.0,
             extinction_per_m=2e-4,
             illumination=1.0,
             lamps=False,
@@ -68,7 +70,7 @@ WEATHERS = {
         Weather(
             name="cloudy_day",
             air_kelvin=280.0,
-            sun=0.06,
+            sun=0.0,
             daylight=0.5,
             sky_emissivity=0.88,
             cloud_variation=0.10,
@@ -134,6 +136,7 @@ WEATHERS = {
             extinction_per_m=0.0,
             illumination=0.01,
             lamps=False,
+            ambient=0.75,
         ),
     )
 }
