@@ -209,6 +209,33 @@ def test_frames_that_are_missing_altogether_are_bridged(settings, flight):
     assert error_m(results[-1], flight.poses[-1]) < 0.08
 
 
+@pytest.mark.parametrize("shift_px", [20, -20])
+def test_principal_points_may_differ(settings, flight, shift_px):
+    """Some calibrations shift the right image: disparity counts from the principal points."""
+    frames = [shifted(frame, shift_px) for frame in flight.frames]
+    assert frames[0].views["left"].camera.cx - frames[0].views["right"].camera.cx == shift_px
+    results = run(create(settings), frames)
+    assert all(result.status is TRACKING for result in results[1:])
+    assert error_m(results[-1], flight.poses[-1]) < 0.12
+
+
+def shifted(frame: RigFrame, shift_px: int) -> RigFrame:
+    """Columns cut off on the left of one eye and on the right of the other."""
+    views = {}
+    for role, view in frame.views.items():
+        cut = abs(shift_px) if (role == "right") == (shift_px > 0) else 0
+        width = view.camera.width - abs(shift_px)
+        image = np.ascontiguousarray(view.image[:, cut : cut + width])
+        views[role] = CameraView(
+            image,
+            replace(view.camera, width=width, cx=view.camera.cx - cut),
+            view.T_rig_camera.copy(),
+            mask=np.ones(image.shape, bool),
+            display=image,
+        )
+    return replace(frame, views=views)
+
+
 # ---------------------------------------------------------------------------- order, reset and seed
 
 

@@ -219,7 +219,7 @@ def search_disparity(  # type: ignore[no-untyped-def]
             energy += template[k] * template[k]
         if not energy > 0.0:
             continue
-        best, index = np.float32(-1.0), -1
+        best, index = np.float32(-1.0), min_disparity - 1
         last = min(max_disparity, x - radius)
         for disparity in range(min_disparity, last + 1):
             xr = x - disparity
@@ -239,7 +239,7 @@ def search_disparity(  # type: ignore[no-untyped-def]
             scores[disparity - min_disparity] = score
             if score > best:
                 best, index = score, disparity
-        if index < 0:
+        if index < min_disparity:
             continue
         rival = np.float32(-1.0)
         for disparity in range(min_disparity, last + 1):

@@ -35,9 +35,10 @@ def find_stereo_points(
     corners = find_corners(left[0], occupied_px, 2 * radius + 2, mask, corner_config)
     n = len(corners)
     disparity, score = np.zeros(n, np.int64), np.zeros(n)
-    search_disparity(
-        left[1], right[1], corners // 2, radius, 0, int(max_disparity_px) // 2, disparity, score
-    )
+    # Where a point at infinity lies, when the principal points of the eyes differ.
+    least = int(np.floor((window.camera.cx - window.camera.cx_right) / 2))
+    most = least + int(max_disparity_px) // 2
+    search_disparity(left[1], right[1], corners // 2, radius, least, most, disparity, score)
     start = corners.astype(np.float64)
     start[:, 0] -= 2.0 * disparity
     start[score < config.min_correlation] = np.nan
