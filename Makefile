@@ -13,7 +13,7 @@ PYTHON_24_04 = $(shell for p in python3.12 $$HOME/.pyenv/versions/3.12*/bin/pyth
 	"$$p" -c 'import ensurepip, venv' 2>/dev/null && { echo "$$p"; break; }; done)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-ubuntu-24.04 lint format benchmark clean distclean
+.PHONY: help demo test test-ubuntu-24.04 lint format benchmark table5 clean distclean
 
 help: ## Show this list.
 	@grep -E '^[a-z0-9.-]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 22
@@ -39,6 +39,9 @@ format: $(VENV)/ready ## Bring all files into the style.
 
 benchmark: $(VENV)/ready ## Measure the time per stage.
 	$(RUN) -m thermal_stereo_vo benchmark
+
+table5: $(VENV)/ready ## Fly nine simulated flights by every method (hours; goes on where it stopped).
+	$(RUN) -m thermal_stereo_vo benchmark table5 --output report/table5 $(TABLE5)
 
 clean: ## Remove what was produced, except the environments.
 	rm -rf $(DEMO) build install log report .coverage .*_cache .hypothesis

@@ -39,7 +39,13 @@ ROS = {
 }
 HEAVY = {"cv2", "embreex", "matplotlib", "numba", "rosbags", "scipy", "serial", "trimesh"}
 STAGES = {"capture", "radiometry", "stereo", "odometry"}
-PLUG = {f"{PACKAGE}.odometry", f"{PACKAGE}.odometry.interface", f"{PACKAGE}.odometry.factory"}
+PLUG = {
+    f"{PACKAGE}.odometry",
+    f"{PACKAGE}.odometry.interface",
+    f"{PACKAGE}.odometry.factory",
+    f"{PACKAGE}.odometry.solver_comparison",  # a measurement of the method itself
+    f"{PACKAGE}.odometry.feature_count",  # a measurement of images
+}
 
 MODULES = sorted(ROOT.rglob("*.py"))
 

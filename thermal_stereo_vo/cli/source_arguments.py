@@ -15,9 +15,12 @@ SOURCE_HELP = (
 )
 
 
-def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    """SOURCE and all that may be said about it."""
-    parser.add_argument("source", metavar="SOURCE", help=SOURCE_HELP)
+def add_source_arguments(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """SOURCE and all that may be said about it; with a ``default`` it becomes ``--source``."""
+    if default is None:
+        parser.add_argument("source", metavar="SOURCE", help=SOURCE_HELP)
+    else:
+        parser.add_argument("--source", default=default, help=f"{SOURCE_HELP} (default {default})")
     parser.add_argument(
         "--calibration",
         type=Path,

@@ -1,0 +1,1 @@
+"""Measurements that drive whole pipelines: times, growth, gaps, and the counterpart of Table V."""

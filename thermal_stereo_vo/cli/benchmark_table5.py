@@ -1,0 +1,181 @@
+"""``benchmark table5``: the nine simulated flights by every method, as a report."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thermal_stereo_vo.cli.config_arguments import (
+    add_config_arguments,
+    load_config,
+    simulation_overrides,
+)
+from thermal_stereo_vo.cli.progress import progress
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from thermal_stereo_vo.benchmarks.sweep import FlightJob, Sweep
+    from thermal_stereo_vo.evaluation.flight_cell import Cell
+
+PICTURES_FOLDER = "pictures"
+
+
+def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``run_table5`` reads."""
+    parser.description = (
+        "Fly the simulated flights with several sets of sensors, by Gauss-Newton, "
+        "Levenberg-Marquardt and Double Dogleg frame to frame and by the windowed method; write "
+        "table5.md, .csv, .json and a picture of each flight.  What is finished is not flown again."
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="folder for the report"
+    )
+    parser.add_argument(
+        "--flights",
+        nargs="+",
+        metavar="NAME",
+        help="presets to fly (default seq1 to seq9)",
+    )
+    parser.add_argument(
+        "--methods", nargs="+", metavar="NAME", help="of GN, LM, DDL, windowed (default all)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=3, metavar="N", help="sets of sensors (default 3)"
+    )
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="frame rate (default the preset's)"
+    )
+    parser.add_argument(
+        "--length", type=float, metavar="M", help="length of each flight (default the preset's)"
+    )
+    parser.add_argument(
+        "--processes", type=int, default=2, metavar="N", help="processes to use (default 2)"
+    )
+    parser.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="DIR",
+        help="folder that keeps the rendered pictures, 1.2 MB a pair (default DIR/pictures of the "
+        "report; on a cluster, where it must be shared, none)",
+    )
+    parser.add_argument(
+        "--forget-pictures", action="store_true", help="remove them once all is flown"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="fly on the Dask cluster of this scheduler, e.g. tcp://host:8786",
+    )
+    add_config_arguments(parser)
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run_table5(args: argparse.Namespace) -> int:
+    """Fly what is missing and write the report; returns the exit code."""
+    from thermal_stereo_vo.benchmarks.sweep import (
+        claim_folder,
+        forget_pictures,
+        open_jobs,
+        run_here,
+        run_on_cluster,
+    )
+    from thermal_stereo_vo.core.errors import ConfigError
+
+    if args.seeds < 1 or args.processes < 0:
+        raise ConfigError("--seeds must be 1 or more and --processes 0 or more")
+    sweep = _sweep(args)
+    pictures = args.pictures
+    if pictures is None and args.scheduler is None:
+        pictures = args.output / PICTURES_FOLDER
+    cells = claim_folder(args.output, sweep)
+    jobs = open_jobs(sweep, cells, pictures)
+    say = _nothing if args.quiet else _print_cell
+    if args.scheduler is not None:
+        with progress(sum(job.cells for job in jobs), "cell", quiet=args.quiet) as step:
+            run_on_cluster(jobs, cells, args.scheduler, on_cell=_both(say, step))
+    else:
+        with progress(sum(job.frames() for job in jobs), "pair", quiet=args.quiet) as step:
+            run_here(jobs, cells, args.processes, on_frame=step, on_cell=say)
+    if args.forget_pictures and pictures is not None:
+        forget_pictures(pictures, sweep.flights)
+    _write_report(args, sweep, cells, jobs)
+    return 0
+
+
+def _sweep(args: argparse.Namespace) -> Sweep:
+    from thermal_stereo_vo.benchmarks.sweep import FLIGHTS, Sweep
+    from thermal_stereo_vo.evaluation.flight_cell import METHODS
+
+    return Sweep(
+        tuple(args.flights or FLIGHTS),
+        tuple(args.methods or METHODS),
+        tuple(range(args.seeds)),
+        args.rate,
+        args.length,
+        load_config(args),
+        simulation_overrides(args),
+    )
+
+
+def _write_report(
+    args: argparse.Namespace, sweep: Sweep, cells: Path, jobs: list[FlightJob]
+) -> None:
+    from thermal_stereo_vo.benchmarks.machine import machine, machine_line
+    from thermal_stereo_vo.evaluation.flight_cell import load_cells
+    from thermal_stereo_vo.evaluation.report import format_table
+    from thermal_stereo_vo.evaluation.table5 import Table5, to_csv, to_markdown
+    from thermal_stereo_vo.outputs.flight_figures import plot_flight
+    from thermal_stereo_vo.outputs.replacing import write_text
+    from thermal_stereo_vo.outputs.run_folder import to_json
+
+    wanted = [
+        cell
+        for cell in load_cells(cells)
+        if cell.flight in sweep.flights
+        and cell.method in sweep.methods
+        and cell.seed in sweep.seeds
+    ]
+    table = Table5(wanted)
+    pictures = []
+    for flight in table.flights:
+        plot_flight(args.output / f"{flight}.png", flight, wanted)
+        pictures.append(f"{flight}.png")
+    rate = "the presets' rate" if sweep.rate_hz is None else f"{sweep.rate_hz:g} Hz"
+    length = "full length" if sweep.length_m is None else f"{sweep.length_m:g} m each"
+    about = [f"Flights: {len(table.flights)}, {length}, {rate}. Machine: {machine_line()}."]
+    write_text(args.output / "table5.md", to_markdown(table, about, pictures))
+    write_text(args.output / "table5.csv", to_csv(table))
+    figures = {"settings": sweep.settings(), "machine": machine(), **table.as_dict()}
+    write_text(args.output / "table5.json", to_json(figures))
+    if not args.quiet:
+        flown = sum(job.cells for job in jobs)
+        print(f"\n{flown} cells flown now, {len(wanted) - flown} before; errors in %\n")
+        print(format_table(table.header(), table.rows()))
+        print()
+        print(format_table(table.consistency_header(), table.consistency_rows()))
+        print("\n".join(["", *table.findings()]))
+        print(f"\ntable5.md, .csv, .json and a picture of each flight are in {args.output}")
+
+
+def _print_cell(cell: Cell) -> None:
+    average = "-" if cell.average_percent is None else f"{cell.average_percent:.2f}"
+    final = "-" if cell.final_percent is None else f"{cell.final_percent:.2f}"
+    print(
+        f"{cell.flight} by {cell.method}, seed {cell.seed}: average {average} %, final {final} %, "
+        f"coverage {cell.coverage_percent:.0f} %",
+        flush=True,
+    )
+
+
+def _both(say: Callable[[Cell], None], step: Callable[[], None]) -> Callable[[Cell], None]:
+    def on_cell(cell: Cell) -> None:
+        say(cell)
+        step()
+
+    return on_cell
+
+
+def _nothing(_: Cell) -> None:
+    """Say nothing."""
