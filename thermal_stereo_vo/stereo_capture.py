@@ -228,11 +228,12 @@ def open_stereo_capture(
     source: CameraSource
     calibration = None
     if config.source == "recording":
-        from thermal_stereo_vo.datasets.registry import open_dataset
+        from thermal_stereo_vo.datasets.registry import SourceOptions, open_dataset
 
         if not config.recording.recording:
             raise ConfigError("source is 'recording', but recording.recording names none")
-        dataset, _ = open_dataset(config.recording.recording)
+        options = SourceOptions(rate_hz=config.recording.rate_hz or None)
+        dataset, _ = open_dataset(config.recording.recording, options)
         calibration = dataset.calibration()
         source = FakeCameras(dataset.cameras, dataset.frames, config.recording)
     else:

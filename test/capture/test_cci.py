@@ -199,6 +199,11 @@ def test_a_late_answer_is_not_taken_for_the_next_one(port, pty_camera):
     assert port.call(Function.READ_SENSOR, b"\0\x0a") == (3120).to_bytes(2, "big")
 
 
+def test_an_answer_to_another_question_is_passed_over(port, pty_camera):
+    pty_camera.garbage = encode(Function.FFC_MODE, b"\0\1")
+    assert port.call(Function.GAIN_MODE) == b"\0\0"
+
+
 def test_an_order_that_must_not_be_given_twice_is_sent_once(port, pty_camera):
     pty_camera.silent = True
     with pytest.raises(NoReplyError):

@@ -51,6 +51,16 @@ def test_a_drifting_clock_is_followed(drift):
     assert clock.steps == 0
 
 
+def test_a_correction_does_not_run_on_while_no_frame_comes():
+    system = SystemClock(OFFSET)
+    clock = EpochClock(system)
+    clock.to_epoch_ns(0)
+    system.offset_ns -= 10_000_000
+    clock.to_epoch_ns(2 * SECOND)
+    later_ns = 1000 * SECOND
+    assert -10_000_000 <= clock.to_epoch_ns(later_ns) - later_ns - OFFSET < 0
+
+
 def test_a_clock_set_forward_is_followed_at_once():
     system = SystemClock(OFFSET)
     clock = EpochClock(system)

@@ -67,6 +67,12 @@ def test_sequence_gaps_are_counted_over_the_wrap():
     assert counter.lost == 2
 
 
+def test_frames_lost_over_the_wrap_are_counted():
+    counter = SequenceCounter()
+    assert [counter.update(s) for s in (2**32 - 2, 1)] == [0, 3]
+    assert counter.lost == 2
+
+
 def test_a_restart_continues_the_count():
     counter = SequenceCounter()
     counter.update(70)

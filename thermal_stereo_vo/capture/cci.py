@@ -254,8 +254,6 @@ class CciPort:
             ):
                 raise _refusal(function, data, reply.status)
             status = None if reply is None else Status(reply.status)
-            if reply is None and not repeat:
-                break
             if time.monotonic() + _BUSY_PAUSE_S >= deadline_s:
                 break
             if reply is not None:

@@ -14,6 +14,7 @@ from thermal_stereo_vo.core.config import setting
 from thermal_stereo_vo.core.frames import RawFrame
 
 _LATE_NS = 250_000_000
+_PAUSE_NS = 33_333_333
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,13 @@ class FakeConfig:
 
     recording: str = setting(
         "", "Folder or bag as 'replay' takes it, or sim:PRESET for a simulated flight."
+    )
+    rate_hz: float = setting(
+        0.0,
+        "Frame rate of images without stamps, and of a simulated flight; 0 where it is known.",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1000.0,
     )
     speed: float = setting(1.0, "Times as fast as recorded.", minimum=0.01, maximum=100.0)
     repeat: bool = setting(True, "Start again at the end.")
@@ -107,13 +115,12 @@ class FakeCameras:
         raise no_control()
 
     def _run(self, on_frame: Callable[[RawFrame], None]) -> None:
-        last_ns = time.monotonic_ns()
         while not self._stop.is_set():
             self._again.clear()
             for counters in self._counters.values():
                 counters.connections += 1
             try:
-                last_ns = self._play(on_frame, last_ns)
+                self._play(on_frame)
             except Exception as error:  # a broken recording must not end the program silently
                 self._state, self._reason = LinkState.CLOSED, f"the recording broke off: {error}"
                 return
@@ -121,17 +128,13 @@ class FakeCameras:
                 self._state, self._reason = LinkState.CLOSED, "the recording is over"
                 return
 
-    def _play(self, on_frame: Callable[[RawFrame], None], after_ns: int) -> int:
-        """Play once, later than ``after_ns`` (monotonic); returns the last moment used."""
-        begin_ns: int | None = None
-        first_ns = moment_ns = after_ns
+    def _play(self, on_frame: Callable[[RawFrame], None]) -> None:
+        begin_ns = first_ns = None
         for frame in self._frames():
             if self._stop.is_set() or self._again.is_set():
-                break
-            if begin_ns is None:
-                # A frame period after the last of the round before, so that stamps increase.
-                begin_ns = max(after_ns + 33_333_333, time.monotonic_ns())
-                first_ns = frame.stamp_ns
+                return
+            if begin_ns is None or first_ns is None:
+                begin_ns, first_ns = time.monotonic_ns() + _PAUSE_NS, frame.stamp_ns
             moment_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._config.speed)
             late_ns = time.monotonic_ns() - moment_ns
             if late_ns > _LATE_NS:
@@ -142,12 +145,6 @@ class FakeCameras:
             self._state, self._reason = LinkState.STREAMING, ""
             counters = self._counters[frame.camera]
             self._rates[frame.camera].stamps.append(time.monotonic_ns())
-            on_frame(
-                replace(
-                    frame,
-                    stamp_ns=self._clock.to_epoch_ns(moment_ns),
-                    sequence=counters.frames,
-                )
-            )
+            stamp_ns = self._clock.to_epoch_ns(moment_ns)
+            on_frame(replace(frame, stamp_ns=stamp_ns, sequence=counters.frames))
             counters.frames += 1
-        return moment_ns

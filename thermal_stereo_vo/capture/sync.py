@@ -68,12 +68,14 @@ class SyncMonitor:
 
     def report(self) -> SyncReport:
         """The state of things."""
-        if not self._skews_ns:
+        # Copies: another thread may add to them meanwhile.
+        skews_ns, motions_px_s = tuple(self._skews_ns), tuple(self._motions_px_s)
+        if not skews_ns:
             return SyncReport()
-        skews_ms = np.array(self._skews_ns) * 1e-6
+        skews_ms = np.array(skews_ns) * 1e-6
         skew_ms = float(np.median(skews_ms))
         low_ms, high_ms = np.percentile(skews_ms, (25, 75))
-        motion_px_s = float(np.median(self._motions_px_s)) if self._motions_px_s else 0.0
+        motion_px_s = float(np.median(motions_px_s)) if motions_px_s else 0.0
         displacement_px = abs(skew_ms) * 1e-3 * motion_px_s
         warnings = []
         config = self._config

@@ -184,9 +184,11 @@ def test_unplug_and_replug(connect, left, eventually):
     eventually(lambda: link.status().counters.failures > failures + 2, link.status)
     assert len(frames) == seen
     assert link.status().rate_hz == 0.0
+    left.control.next_sequence = 5000
     left.control.unplugged = 0
     flowing(frames, eventually, link)
     assert link.status().reason == ""
+    assert link.status().counters.lost < 1000
     check(frames)
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -200,6 +205,28 @@ def test_what_is_recorded_replays_bit_for_bit(start, eventually, tmp_path):
     assert dataset.calibration().baseline_m == pytest.approx(0.2)
 
 
+def test_ctrl_c_ends_the_process_with_everything_closed(left, right, eventually, tmp_path):
+    for device in (left, right):
+        device.control.millihertz = 100_000
+    arguments = [sys.executable, "-m", "thermal_stereo_vo.nodes.stereo_capture_node", "--ros-args"]
+    for eye, device in zip(EYES, (left, right), strict=True):
+        arguments += ["-p", f"grabbers.{eye}.device:={device.path}"]
+        arguments += ["-p", f"grabbers.{eye}.width:=64", "-p", f"grabbers.{eye}.height:=48"]
+    process = subprocess.Popen(
+        arguments,
+        cwd=REPOSITORY,
+        env={**os.environ, "ROS_LOG_DIR": str(tmp_path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    eventually(lambda: left.control.produced > 20 and right.control.produced > 20, limit_s=60.0)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (0, "")
+    for device in (left, right):
+        assert device.control.opened == device.control.closed == 1
+
+
 @pytest.mark.parametrize("name", ["sensoray", "boson", "analog"])
 def test_the_ready_settings_start_the_node(start, eventually, left, right, name):
     for device in (left, right):
@@ -241,6 +268,4 @@ def test_wrong_settings_end_the_node_with_a_sentence(
     assert runtime.run(StereoCaptureNode, arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("stereo_capture_node: ")
-    import re
-
     assert re.search(answer, error)
