@@ -205,11 +205,11 @@ def test_a_device_that_dies_says_so_and_closes(left, fault, answer):
     assert open_descriptors() == before
 
 
-def test_opened_and_closed_a_hundred_times_nothing_is_left(left):
+def test_opened_and_closed_many_times_nothing_is_left(left):
     with V4l2Stream(left.path, left.config()) as stream:
         take(stream)
     before = open_descriptors(), _mappings()
-    for _ in range(100):
+    for _ in range(40):
         stream = V4l2Stream(left.path, left.config())
         stream.wait(0.02)
         stream.take()
