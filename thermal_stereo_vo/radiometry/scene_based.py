@@ -5,6 +5,10 @@ pattern.  Gated LMS after Hardie et al., Opt. Express 17(17) 14918 (2009), with 
 learns only from views that differ enough from the last one learnt from, as keyframes do, so that
 hover and vibration teach nothing; errors are clipped, which steers to the median and not to the
 mean of what passed; columns, rows and smooth shading are learnt as such, far faster than pixels.
+
+Two patterns are learnt by turns, each from every second view.  What both agree on is pattern, where
+they differ the scene has left its traces: only the agreed share is taken from the image, so that an
+even sensor is left alone.
 """
 
 from __future__ import annotations
@@ -24,6 +28,8 @@ Map = NDArray[np.float32]
 
 COARSE_SIDE = 16
 UNSEEN = np.float32(1e9)
+ERROR_LIMIT = 1.5
+"""Errors count up to this multiple of the median error."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,47 @@ class SceneBasedConfig:
     )
 
 
+@dataclass
+class _Pattern:
+    """A learnt pattern in parts: (H, W) pixels, (W,) columns, (H,) rows, (P,) weights of shading.
+
+    ``seen`` (H, W) holds the surroundings, less their level, when each pixel last learnt.
+    """
+
+    pixels: Map
+    columns: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    shading: NDArray[np.float64]
+    seen: Map
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], planes: int) -> _Pattern:
+        return cls(
+            np.zeros(shape, np.float32),
+            np.zeros(shape[1]),
+            np.zeros(shape[0]),
+            np.zeros(planes),
+            np.full(shape, UNSEEN, np.float32),
+        )
+
+    def sort(self) -> None:
+        """Move what whole columns and rows have in common from the pixels to those."""
+        columns = self.pixels.mean(axis=0)
+        self.pixels -= columns
+        rows = self.pixels.mean(axis=1)
+        self.pixels -= rows[:, None]
+        self.columns += columns
+        self.rows += rows
+
+    def total(self, planes: list[Map]) -> Map:
+        """(H, W) sum of all parts."""
+        total = self.pixels + self.columns.astype(np.float32)
+        total += self.rows.astype(np.float32)[:, None]
+        for weight, plane in zip(self.shading, planes, strict=True):
+            total += np.float32(weight) * plane
+        return total
+
+
 class SceneBasedCorrection:
     """Learns and removes the fixed pattern of one camera.
 
@@ -101,7 +148,7 @@ class SceneBasedCorrection:
         self._offset = np.zeros((0, 0), np.float32)
 
     def process(self, image: NDArray[Any], *, settled: bool, epoch: int) -> NDArray[Any]:
-        """Learn from a good frame where it teaches something, and correct it.
+        """Correct a good frame, and learn from it where it teaches something.
 
         Args:
             image: (H, W) uint8 or uint16 counts, not changed.
@@ -115,56 +162,64 @@ class SceneBasedCorrection:
         image = np.ascontiguousarray(image)
         known = image.shape == self._offset.shape
         if not known or (epoch != self._epoch and not self._still_fits(image)):
-            self._begin(image.shape)
+            self._begin((image.shape[0], image.shape[1]))
         self._epoch = epoch
         out = np.empty(image.shape, image.dtype)
         subtract(image, self._offset, float(np.iinfo(image.dtype).max), out)
-        if settled:
+        if settled and self._teaches(image):
             self._learn(image)
         return out
 
-    def _begin(self, shape: tuple[int, ...]) -> None:
+    def _begin(self, shape: tuple[int, int]) -> None:
         self.views = 0
         self._offset = np.zeros(shape, np.float32)
-        self._seen = np.full(shape, UNSEEN, np.float32)
         self._reference: Map | None = None
-        self._basis = shading_basis((shape[0], shape[1]))
-        size = (max(1, shape[1] // COARSE_SIDE), max(1, shape[0] // COARSE_SIDE))
-        coarse = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in self._basis]
-        design = np.column_stack([plane.ravel() for plane in coarse]).astype(np.float64)
-        self._fit = np.linalg.pinv(design)
-        self._coarse_size = size
+        one, *self._planes = shading_basis(shape)
+        self._patterns = [_Pattern.empty(shape, len(self._planes)) for _ in range(2)]
+        self._coarse_size = (max(1, shape[1] // COARSE_SIDE), max(1, shape[0] // COARSE_SIDE))
+        design = np.column_stack([self._coarse(plane).ravel() for plane in (one, *self._planes)])
+        self._fit = np.linalg.pinv(design.astype(np.float64))
 
     def _still_fits(self, image: NDArray[Any]) -> bool:
         raw = image.astype(np.float32)
         return _graininess(raw - self._offset) < _graininess(raw)
 
-    def _learn(self, image: NDArray[Any]) -> None:
-        config = self._config
-        coarse = cv2.resize(image, self._coarse_size, interpolation=cv2.INTER_AREA)
-        coarse = coarse.astype(np.float32)
+    def _coarse(self, image: NDArray[Any]) -> Map:
+        small: Map = cv2.resize(image, self._coarse_size, interpolation=cv2.INTER_AREA)
+        return small.astype(np.float32)
+
+    def _teaches(self, image: NDArray[Any]) -> bool:
+        """Whether the view has contrast and differs enough from the last one learnt from."""
+        coarse = self._coarse(image)
         coarse -= np.median(coarse)
         low, high = np.percentile(coarse, (10, 90))
-        if high - low < config.min_contrast_counts:
-            return
+        if high - low < self._config.min_contrast_counts:
+            return False
         if self._reference is not None:
             change = float(np.mean(np.abs(coarse - self._reference))) / float(high - low)
-            if change < config.min_change:
-                return
+            if change < self._config.min_change:
+                return False
         self._reference = coarse
-        corrected = image.astype(np.float32)
-        corrected -= self._offset
-        self._learn_pattern(corrected)
-        self._learn_shading(corrected)
-        self.views += 1
+        return True
 
-    def _learn_pattern(self, corrected: Map) -> None:
+    def _learn(self, image: NDArray[Any]) -> None:
+        pattern = self._patterns[self.views % 2]
+        corrected = image.astype(np.float32)
+        corrected -= pattern.total(self._planes)
+        self._learn_pattern(corrected, pattern)
+        coarse = self._coarse(corrected).ravel().astype(np.float64)
+        pattern.shading += self._config.shading_rate * (self._fit @ coarse)[1:]
+        self.views += 1
+        if self.views >= 2:
+            self._offset = _agreed(*self._patterns).total(self._planes)
+
+    def _learn_pattern(self, corrected: Map, pattern: _Pattern) -> None:
         config = self._config
         around = cv2.blur(corrected, (config.window_px, config.window_px))
         across = cv2.blur(corrected, (config.stripe_window_px, 1))
         along = cv2.blur(corrected, (1, config.stripe_window_px))
         sample = np.abs(corrected[::4, ::4] - around[::4, ::4])
-        limit = 1.5 * float(np.median(sample)) + 0.2
+        limit = ERROR_LIMIT * float(np.median(sample)) + 0.2
         level = float(np.median(around[::8, ::8]))
         columns = np.zeros((2, corrected.shape[1]))
         rows = np.zeros((2, corrected.shape[0]))
@@ -173,30 +228,46 @@ class SceneBasedCorrection:
             around,
             across,
             along,
-            self._seen,
+            pattern.seen,
             level,
             config.gate_counts,
             limit,
             self._rate(config.rate),
-            self._offset,
+            pattern.pixels,
             columns,
             rows,
         )
-        stripe_rate = np.float32(self._rate(config.stripe_rate))
-        self._offset += stripe_rate * _means(columns, corrected.shape[0])
-        self._offset += stripe_rate * _means(rows, corrected.shape[1])[:, None]
+        stripe_rate = self._rate(config.stripe_rate)
+        pattern.columns += stripe_rate * _means(columns, corrected.shape[0])
+        pattern.rows += stripe_rate * _means(rows, corrected.shape[1])
+        pattern.sort()
 
     def _rate(self, lasting: float) -> float:
-        """A running mean over the first views, then the lasting rate."""
-        return max(lasting, 1.0 / (self.views + 4)) if lasting > 0 else 0.0
+        """A running mean over the first views of a pattern, then the lasting rate."""
+        return max(lasting, 1.0 / (self.views // 2 + 3)) if lasting > 0 else 0.0
 
-    def _learn_shading(self, corrected: Map) -> None:
-        if self._config.shading_rate == 0:
-            return
-        coarse = cv2.resize(corrected, self._coarse_size, interpolation=cv2.INTER_AREA)
-        weights = self._config.shading_rate * (self._fit @ coarse.ravel().astype(np.float64))
-        for weight, plane in zip(weights[1:], self._basis[1:], strict=True):
-            self._offset += np.float32(weight) * plane
+
+def _agreed(first: _Pattern, second: _Pattern) -> _Pattern:
+    """The mean of two patterns, each part scaled by the share of its variance they agree on.
+
+    With independent errors the covariance of the two is the variance of the truth (Wiener).
+    """
+
+    def share(name: str) -> NDArray[Any]:
+        a, b = getattr(first, name), getattr(second, name)
+        mean = 0.5 * (a + b)
+        power = float(np.mean(mean * mean))
+        common = float(np.mean(a * b))
+        scaled: NDArray[Any] = mean * min(max(common / power, 0.0), 1.0) if power > 0 else mean
+        return scaled
+
+    return _Pattern(
+        share("pixels").astype(np.float32),
+        share("columns"),
+        share("rows"),
+        0.5 * (first.shading + second.shading),
+        first.seen,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -279,10 +350,10 @@ def shading_basis(shape: tuple[int, int]) -> list[Map]:
     return [planes[0], *(np.ascontiguousarray(plane - plane.mean()) for plane in planes[1:])]
 
 
-def _means(sums: NDArray[np.float64], pixels: int) -> Map:
+def _means(sums: NDArray[np.float64], pixels: int) -> NDArray[np.float64]:
     """Mean error of each column or row; 0 where fewer than a tenth of its pixels took part."""
     enough = sums[1] >= 0.1 * pixels
-    means: Map = np.where(enough, sums[0] / np.maximum(sums[1], 1.0), 0.0).astype(np.float32)
+    means: NDArray[np.float64] = np.where(enough, sums[0] / np.maximum(sums[1], 1.0), 0.0)
     return means
 
 
