@@ -19,6 +19,7 @@ help: ## Show this list.
 	@grep -E '^[a-z0-9.-]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 22
 
 demo: $(VENV)/ready ## Simulate a flight, replay it, compare with the truth; results in demo_output/.
+	rm -rf $(DEMO)
 	$(RUN) -m thermal_stereo_vo simulate demo --output $(DEMO)/flight
 	$(RUN) -m thermal_stereo_vo replay $(DEMO)/flight --output $(DEMO)/run
 
