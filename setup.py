@@ -15,6 +15,7 @@ NODES = [
     "stereo_odometry_node",
     "replay_node",
     "stereo_capture_node",
+    "onboard_node",
 ]
 
 

@@ -16,11 +16,12 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2, PointField
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields
 from thermal_stereo_vo.core.errors import FrameError
 from thermal_stereo_vo.core.image_encoding import decode_pixels
+from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.outputs.ros_fields import (
     DiagnosticFields,
     OdometryFields,
@@ -74,15 +75,12 @@ def image_to_msg(image: NDArray[Any], stamp_ns: int, frame_id: str) -> Image:
             f"an image of shape {image.shape} and type {image.dtype} cannot be published: give a "
             "single channel of 8 or 16 bits"
         )
-    message = Image()
-    message.header.stamp = stamp_to_msg(stamp_ns)
-    message.header.frame_id = frame_id
-    message.height, message.width = image.shape
-    message.encoding = encoding
-    message.is_bigendian = int(sys.byteorder == "big")
-    message.step = image.shape[1] * image.itemsize
-    message.data = _bytes(image)
-    return message
+    return _image(image, encoding, stamp_ns, frame_id)
+
+
+def picture_to_msg(picture: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> Image:
+    """(H, W, 3) uint8, blue first, to ``bgr8``."""
+    return _image(picture, "bgr8", stamp_ns, frame_id)
 
 
 def mask_from_msg(message: Image) -> NDArray[np.bool_]:
@@ -121,6 +119,14 @@ def camera_info_to_msg(info: CameraInfoFields, stamp_ns: int, frame_id: str) -> 
     message.distortion_model = info.distortion_model
     message.d, message.k, message.r, message.p = list(info.d), info.k, info.r, info.p
     return message
+
+
+def imu_from_msg(message: Imu) -> ImuSample | None:
+    """The angular rate of a ``sensor_msgs/Imu``; None when it measures none."""
+    if message.angular_velocity_covariance[0] == -1.0:
+        return None
+    rate = message.angular_velocity
+    return ImuSample(stamp_from_msg(message.header.stamp), np.array([rate.x, rate.y, rate.z]))
 
 
 def odometry_to_msg(fields: OdometryFields) -> Odometry:
@@ -181,6 +187,18 @@ def diagnostics_to_msg(*statuses: DiagnosticFields) -> DiagnosticArray:
         )
         for fields in statuses
     ]
+    return message
+
+
+def _image(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
+    message = Image()
+    message.header.stamp = stamp_to_msg(stamp_ns)
+    message.header.frame_id = frame_id
+    message.height, message.width = image.shape[:2]
+    message.encoding = encoding
+    message.is_bigendian = int(sys.byteorder == "big")
+    message.step = image.nbytes // image.shape[0]
+    message.data = _bytes(image)
     return message
 
 

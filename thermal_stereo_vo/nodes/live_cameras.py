@@ -29,8 +29,7 @@ from thermal_stereo_vo.stereo_capture_report import HealthReport, pair_fields
 class LiveCameras:
     """Reads pairs on a thread of its own, hands each to ``on_pair`` and publishes it.
 
-    ``infos`` is what ``camera_info`` says, by eye; nothing where nobody knows.  ``recorded`` is
-    the calibration that a recording brings which plays the cameras.
+    ``infos`` is what ``camera_info`` says, by eye; nothing where nobody knows.
     """
 
     def __init__(
@@ -42,8 +41,8 @@ class LiveCameras:
         self._node = node
         self._on_pair = on_pair
         self._inhibit_limit_s = config.grabbers.ffc.inhibit_limit_s
-        self._capture, self.recorded = open_stereo_capture(config)
-        self.infos = _infos(config, self.recorded)
+        self._capture, recorded = open_stereo_capture(config)
+        self.infos = _infos(config, recorded)
         self._health = HealthReport()
         self._stamp_ns = 0
         self._images = {
@@ -87,7 +86,8 @@ class LiveCameras:
                 self._on_pair(pair)
                 self._publish(pair)
         except Exception as error:
-            self._node.fail(error)
+            if self._node.context.ok():  # else it only says that the node is being stopped
+                self._node.fail(error)
 
     def _publish(self, pair: CapturedPair) -> None:
         # First: whoever handles the image shall know by then that the shutter was closed.
