@@ -9,13 +9,14 @@ the choice of views all come from these.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.calibration.lenses import Lens, project
-from thermal_stereo_vo.core.transforms import exp_se3, skew, transform_points
+from thermal_stereo_vo.calibration.mask_model import seen_corners
+from thermal_stereo_vo.core.transforms import exp_se3, inverse, skew, transform_points
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ class Observation:
     """Points (K, 3) of the board and where camera ``camera`` saw them in view ``view``.
 
     ``weight`` (K,) is relative, 1 for a point as sharp as the rest of the model allows.
+    ``sides`` (K, 2) tells which sides of a mask hole meet in each point (see ``mask_model``); None
+    for flat boards.
     """
 
     view: int
@@ -36,6 +39,7 @@ class Observation:
     points_m: Array
     pixels: Array
     weight: Array
+    sides: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -44,17 +48,25 @@ class Rig:
 
     ``parameters[c]`` are the lens parameters of camera c, ``T_camera_reference[c]`` (4, 4) its place
     (the first is the reference and stays the identity), ``T_reference_board[v]`` (4, 4) the boards.
+    ``board`` (2,) are the widening and depth of mask holes, (0,) for flat boards.
     """
 
     lenses: tuple[Lens, ...]
     parameters: tuple[Array, ...]
     T_camera_reference: tuple[Array, ...]
     T_reference_board: tuple[Array, ...]
+    board: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def shared_count(self) -> int:
-        """Lens parameters of all cameras plus six for each camera but the first."""
-        return sum(len(p) for p in self.parameters) + 6 * (len(self.parameters) - 1)
+        """Lens parameters of all cameras, six for each camera but the first, and the board's."""
+        return self.board_slice.stop
+
+    @property
+    def board_slice(self) -> slice:
+        """Where the parameters of the board stand."""
+        start = sum(len(p) for p in self.parameters) + 6 * (len(self.parameters) - 1)
+        return slice(start, start + len(self.board))
 
     def lens_slice(self, camera: int) -> slice:
         """Where a camera's lens parameters stand in the shared vector."""
@@ -72,7 +84,10 @@ class Rig:
         places = [self.T_camera_reference[0]]
         for c in range(1, len(self.parameters)):
             places.append(exp_se3(shared[self.pose_slice(c)]) @ self.T_camera_reference[c])
-        return replace(self, parameters=parameters, T_camera_reference=tuple(places))
+        board = self.board + shared[self.board_slice]
+        return replace(
+            self, parameters=parameters, T_camera_reference=tuple(places), board=board
+        )
 
 
 @dataclass(frozen=True)
@@ -90,10 +105,15 @@ class ViewInformation:
 
 
 @dataclass(frozen=True)
-class LensPrior:
-    """What is known of the lenses beforehand: (mean (P,), covariance (P, P)) or None a camera."""
+class Prior:
+    """What is known beforehand.
+
+    Lenses: (mean (P,), covariance (P, P)) or None a camera.  Board: it is flat within
+    ``board_sigma_m`` (B,).
+    """
 
     cameras: tuple[tuple[Array, Array] | None, ...]
+    board_sigma_m: Array
 
 
 @dataclass(frozen=True)
@@ -128,7 +148,7 @@ def solve(
     observations: Sequence[Observation],
     *,
     fixed_lenses: bool = False,
-    prior: LensPrior | None = None,
+    prior: Prior | None = None,
     tolerance: float = 1e-9,
 ) -> Solution:
     """Levenberg-Marquardt with Huber weights at three robust standard deviations.
@@ -177,7 +197,7 @@ def solve(
     )
 
 
-def _pull(rig: Rig, prior: LensPrior | None, scale_px: float) -> ViewInformation:
+def _pull(rig: Rig, prior: Prior | None, scale_px: float) -> ViewInformation:
     """The prior as if it were a view that saw no points."""
     size = rig.shared_count
     hessian, gradient = np.zeros((size, size)), np.zeros(size)
@@ -188,10 +208,14 @@ def _pull(rig: Rig, prior: LensPrior | None, scale_px: float) -> ViewInformation
                 mean, covariance = known
                 hessian[part, part] = scale_px**2 * scaled_inverse(covariance)
                 gradient[part] = hessian[part, part] @ (mean - rig.parameters[c])
+    if prior is not None and len(rig.board):
+        part = rig.board_slice
+        hessian[part, part] = np.diag(scale_px**2 / prior.board_sigma_m**2)
+        gradient[part] = -hessian[part, part] @ rig.board
     return ViewInformation(hessian, gradient, 0.0, 0)
 
 
-def _prior_cost(rig: Rig, prior: LensPrior | None, scale_px: float) -> float:
+def _prior_cost(rig: Rig, prior: Prior | None, scale_px: float) -> float:
     if prior is None:
         return 0.0
     pull = _pull(rig, prior, scale_px)
@@ -201,7 +225,8 @@ def _prior_cost(rig: Rig, prior: LensPrior | None, scale_px: float) -> float:
             part = rig.lens_slice(c)
             apart = known[0] - rig.parameters[c]
             cost += float(apart @ pull.hessian[part, part] @ apart)
-    return cost
+    part = rig.board_slice
+    return cost + float(rig.board @ pull.hessian[part, part] @ rig.board)
 
 
 def scaled_inverse(hessian: Array) -> Array:
@@ -228,10 +253,17 @@ def _all_residuals(rig: Rig, observations: Sequence[Observation]) -> list[Array]
     residuals = []
     for o in observations:
         T = rig.T_camera_reference[o.camera] @ rig.T_reference_board[o.view]
-        points = transform_points(T, o.points_m)
+        points = transform_points(T, _board_points(rig, o, T)[0])
         lens, parameters = rig.lenses[o.camera], rig.parameters[o.camera]
         residuals.append(o.pixels - project(lens, parameters, points)[0])
     return residuals
+
+
+def _board_points(rig: Rig, o: Observation, T_camera_board: Array) -> tuple[Array, Array]:
+    """(K, 3) points of the board as this camera sees them, (K, 3, B) by the board's parameters."""
+    if o.sides is None:
+        return o.points_m, np.zeros((len(o.points_m), 3, len(rig.board)))
+    return seen_corners(o.points_m, o.sides, rig.board, inverse(T_camera_board)[:3, 3])
 
 
 def _robust_scale(residuals: list[Array], observations: Sequence[Observation]) -> float:
@@ -271,7 +303,10 @@ def _linearise(
     blocks: dict[int, _Block] = {}
     for o in observations:
         T_camera_reference = rig.T_camera_reference[o.camera]
-        in_reference = transform_points(rig.T_reference_board[o.view], o.points_m)
+        T_reference_board = rig.T_reference_board[o.view]
+        T_camera_board = T_camera_reference @ T_reference_board
+        on_board, by_board = _board_points(rig, o, T_camera_board)
+        in_reference = transform_points(T_reference_board, on_board)
         in_camera = transform_points(T_camera_reference, in_reference)
         pixels, by_point, by_lens = project(
             rig.lenses[o.camera], rig.parameters[o.camera], in_camera
@@ -282,6 +317,8 @@ def _linearise(
         shared[:, :, rig.lens_slice(o.camera)] = by_lens
         if o.camera > 0:
             shared[:, :, rig.pose_slice(o.camera)] = by_point @ _by_twist(in_camera)
+        if len(rig.board):
+            shared[:, :, rig.board_slice] = by_point @ T_camera_board[:3, :3] @ by_board
         pose = by_point @ T_camera_reference[:3, :3] @ _by_twist(in_reference)
         s, p, r = shared.reshape(-1, size), pose.reshape(-1, 6), residual.reshape(-1)
         w = np.repeat(weight, 2)
@@ -352,6 +389,7 @@ def _step(
     free = np.ones(size, dtype=bool)
     if fixed_lenses:
         free[: sum(len(p) for p in rig.parameters)] = False
+        free[rig.board_slice] = False
     step = np.zeros(size)
     if free.any():
         reduced = hessian[np.ix_(free, free)]

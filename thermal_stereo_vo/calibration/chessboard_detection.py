@@ -23,6 +23,7 @@ from thermal_stereo_vo.calibration.views import BoardView, Detection
 
 Array = NDArray[np.float64]
 Image8 = NDArray[np.uint8]
+Finder = Callable[[NDArray[np.uint8], tuple[int, int]], NDArray[np.float64] | None]
 
 _SEARCH_WIDTH_PX = 800
 _RADII_PX = (8.0, 14.0, 24.0)
@@ -74,21 +75,27 @@ def detect_chessboard(image: NDArray[Any], target: Target) -> Detection:
 
     wanted = (target.rows, target.columns)
     refused = Detection(None, _UNSEEN)
-    for method, corners in _whole_boards(views, target.grid):
+    for method, corners in _whole_boards(views, target.grid, _quads):
         lattice = _fitted(image, _enlarged(corners, shrink).reshape(*wanted, 2))
-        detection = _judged(_oriented(lattice, wanted), target, method)
-        if detection.found:
-            return detection
-        refused = detection
-    for name, seed in seeds:
-        grown = _grown(image, _enlarged(seed, shrink), wanted)
-        if grown is None:
-            continue
-        detection = _judged(_oriented(grown, wanted), target, f"{name}, grown")
-        if detection.found:
-            return detection
-        if refused.reason == _UNSEEN:
-            refused = detection
+        refused = _judged(_oriented(lattice, wanted), target, method)
+        if refused.found:
+            return refused
+    pieces = [(name, _grown(image, _enlarged(seed, shrink), wanted)) for name, seed in seeds]
+    for _, piece in pieces:
+        if piece is not None and _is_cut(image, piece, wanted):
+            return _judged(piece, target, "")
+    for method, corners in _whole_boards(views, target.grid, _radon):
+        lattice = _fitted(image, _enlarged(corners, shrink).reshape(*wanted, 2))
+        refused = _judged(_oriented(lattice, wanted), target, method)
+        if refused.found:
+            return refused
+    for name, piece in pieces:
+        if piece is not None:
+            detection = _judged(_oriented(piece, wanted), target, f"{name}, grown")
+            if detection.found:
+                return detection
+            if refused.reason == _UNSEEN:
+                refused = detection
     return refused
 
 
@@ -99,21 +106,20 @@ def _views(image: NDArray[Any]) -> list[tuple[str, Image8]]:
 
 
 def _whole_boards(
-    views: list[tuple[str, Image8]], grid: tuple[int, int]
+    views: list[tuple[str, Image8]], grid: tuple[int, int], finder: Finder
 ) -> Iterator[tuple[str, Array]]:
-    """(rows * columns, 2) corners of complete boards, from the cheapest attempt to the dearest."""
-    local, plain = views[:-1], views[-1][1]
-    attempts: list[tuple[str, Image8, Callable[[Image8, tuple[int, int]], Array | None]]]
-    attempts = [("plain", plain, _quads), ("plain, radon", plain, _radon)]
+    """(rows * columns, 2) corners of complete boards that an OpenCV detector finds."""
+    local, plain = views[:-1], views[-1]
+    attempts = [plain]
     for name, view in local:
-        # The quad detector links dark squares: it wants the polarity with dark outer corners.
-        attempts.append((f"{name}, inverted", 255 - view, _quads))
-        attempts.append((name, view, _quads))
-        attempts.append((f"{name}, radon", view, _radon))
-    for method, view, finder in attempts:
+        if finder is _quads:
+            # It links dark squares and wants the polarity with dark outer corners.
+            attempts.append((f"{name}, inverted", 255 - view))
+        attempts.append((name, view))
+    for name, view in attempts:
         corners = finder(view, grid)
         if corners is not None:
-            yield method, corners
+            yield name if finder is _quads else f"{name}, radon", corners
 
 
 def _quads(view: Image8, grid: tuple[int, int]) -> Array | None:
@@ -228,6 +234,23 @@ def _grown(image: NDArray[Any], seed: Array, wanted: tuple[int, int]) -> Lattice
             break
         lattice = _fitted(image, best)
     return lattice
+
+
+def _is_cut(image: NDArray[Any], lattice: Lattice, wanted: tuple[int, int]) -> bool:
+    """Whether a piece of a board goes on beyond the image border."""
+    if lattice.shape in (wanted, wanted[::-1]) or lattice.share < 0.9:
+        return False
+    height, width = image.shape
+    for side in range(4):
+        pixels, good = np.rot90(lattice.pixels, side), np.rot90(lattice.good, side)
+        if not _fits(pixels.shape[1] + 1, pixels.shape[0], wanted):
+            continue
+        line = _next_line(pixels, good)
+        if line is not None:
+            outside = (line < 2.0).any(1) | (line > (width - 3.0, height - 3.0)).any(1)
+            if outside.mean() > 0.4:
+                return True
+    return False
 
 
 def _fits(longer: int, other: int, wanted: tuple[int, int]) -> bool:

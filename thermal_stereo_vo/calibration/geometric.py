@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.calibration.bundle import (
-    LensPrior,
     Observation,
+    Prior,
     Rig,
     Solution,
     place_covariance,
@@ -42,6 +42,7 @@ from thermal_stereo_vo.calibration.initial import (
     relative_place,
 )
 from thermal_stereo_vo.calibration.lenses import Lens, project, to_camera
+from thermal_stereo_vo.calibration.mask_model import flattened, hole_sides, prior_sigma_m
 from thermal_stereo_vo.calibration.result import (
     CalibrationResult,
     CameraResult,
@@ -107,19 +108,29 @@ class _Problem:
     def observations(self, indices: Sequence[int] | None = None) -> list[Observation]:
         points = self.target.points_m
         chosen = range(len(self.shots)) if indices is None else indices
+        sides = hole_sides(self.target)
         return [
-            Observation(v, c, points[view.ids], view.pixels, point_weights(view.sigma_px))
+            Observation(
+                v,
+                c,
+                points[view.ids],
+                view.pixels,
+                point_weights(view.sigma_px),
+                None if sides is None else sides[view.ids],
+            )
             for v in chosen
             for c, role in enumerate(self.roles)
             if (view := self.shots[v].views.get(role)) is not None
         ]
 
-    def prior(self, roles: Sequence[str] | None = None) -> LensPrior | None:
+    def prior(self, roles: Sequence[str] | None = None) -> Prior | None:
         """What is known beforehand, or None."""
-        if not self.known:
+        sigma_m = prior_sigma_m(self.target)
+        if not self.known and not len(sigma_m):
             return None
         known = [self.known.get(role) for role in roles or self.roles]
-        return LensPrior(tuple(None if k is None else (k.parameters, k.covariance) for k in known))
+        lenses = tuple(None if k is None else (k.parameters, k.covariance) for k in known)
+        return Prior(lenses, sigma_m)
 
     def solved(
         self, rig: Rig, indices: Sequence[int] | None = None, *, tolerance: float = 1e-9
@@ -191,7 +202,8 @@ def _initial_rig(problem: _Problem) -> Rig:
         T_camera_board = board_pose(cameras[c], points[view.ids], view.pixels)
         boards.append(inverse(places[c]) @ T_camera_board)
     lenses = tuple(problem.lenses[role] for role in problem.roles)
-    return Rig(lenses, tuple(parameters), tuple(places), tuple(boards))
+    flat = np.zeros(len(prior_sigma_m(problem.target)))
+    return Rig(lenses, tuple(parameters), tuple(places), tuple(boards), flat)
 
 
 def _initial_place(problem: _Problem, cameras: Sequence[object]) -> Array:
@@ -251,6 +263,7 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
                 (parameters[c],),
                 (np.eye(4),),
                 tuple(rig.T_camera_reference[c] @ T for T in rig.T_reference_board),
+                rig.board,
             )
             observations = [
                 replace(o, camera=0) for o in problem.observations(seen) if o.camera == c
@@ -258,6 +271,7 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
             prior = problem.prior([role])
             solution = solve(alone, observations, prior=prior, tolerance=1e-6)
             parameters[c] = solution.rig.parameters[0]
+            rig = replace(rig, board=solution.rig.board)
             rms = {v: r for (v, _), r in _view_rms(solution, observations).items()}
             worst = max(rms, key=lambda v: rms[v])
             limit_px = _limit(list(rms.values()))
@@ -362,7 +376,8 @@ def _judged(problem: _Problem, solution: Solution, training: Sequence[int]) -> C
     covariance = _honest_covariance(solution)
     rms = _view_rms(solution, observations)
     tests = [v for v in range(len(problem.shots)) if v not in set(training)]
-    held_out = _held_out(problem, solution, training, tests)
+    flat = _flat_shots(problem, rig)
+    held_out = _held_out(problem, flat, solution, training, tests)
 
     cameras: dict[str, CameraResult] = {}
     warnings: list[str] = []
@@ -399,7 +414,7 @@ def _judged(problem: _Problem, solution: Solution, training: Sequence[int]) -> C
             T_second_first=rig.T_camera_reference[1],
             covariance=twist,
             sigma=np.sqrt(np.diag(chart)),
-            training=_stereo(problem, rig, training),
+            training=_stereo(problem, flat, rig, training),
             held_out=held_out.pair,
             held_out_how=held_out.how,
         )
@@ -448,7 +463,11 @@ class _HeldOut:
 
 
 def _held_out(
-    problem: _Problem, solution: Solution, training: Sequence[int], tests: Sequence[int]
+    problem: _Problem,
+    flat: Sequence[BoardShot],
+    solution: Solution,
+    training: Sequence[int],
+    tests: Sequence[int],
 ) -> _HeldOut:
     """Figures on views that took no part: those not chosen, or by cross-validation in folds."""
     pairs = problem.pairs()
@@ -476,12 +495,12 @@ def _held_out(
     for rig, out in folds:
         for v in out:
             for c, role in enumerate(problem.roles):
-                view = problem.shots[v].views.get(role)
+                view = flat[v].views.get(role)
                 if view is not None:
                     residuals[role].append(_posed_residuals(problem, rig, c, view))
         together = [v for v in out if v in pairs]
         if len(problem.roles) == 2 and together:
-            stereo.append(_stereo(problem, rig, together))
+            stereo.append(_stereo(problem, flat, rig, together))
     cameras = {role: pixel_errors(r) for role, r in residuals.items() if len(r) >= 2}
     return _HeldOut(cameras, _merged(stereo), how)
 
@@ -495,7 +514,27 @@ def _posed_residuals(problem: _Problem, rig: Rig, c: int, view: BoardView) -> Ar
     return view.pixels - project(rig.lenses[c], rig.parameters[c], in_camera)[0]
 
 
-def _stereo(problem: _Problem, rig: Rig, views: Sequence[int]) -> StereoErrors:
+def _flat_shots(problem: _Problem, rig: Rig) -> list[BoardShot]:
+    """The shots with the thickness of a mask taken out; the shots themselves for flat boards."""
+    cameras = {
+        role: to_camera(rig.lenses[c], rig.parameters[c], problem.sizes[role])
+        for c, role in enumerate(problem.roles)
+    }
+    return [
+        BoardShot(
+            shot.name,
+            {
+                role: flattened(view, cameras[role], problem.target, rig.board)
+                for role, view in shot.views.items()
+            },
+        )
+        for shot in problem.shots
+    ]
+
+
+def _stereo(
+    problem: _Problem, flat: Sequence[BoardShot], rig: Rig, views: Sequence[int]
+) -> StereoErrors:
     first, second = (
         to_camera(rig.lenses[c], rig.parameters[c], problem.sizes[role])
         for c, role in enumerate(problem.roles)
@@ -505,7 +544,7 @@ def _stereo(problem: _Problem, rig: Rig, views: Sequence[int]) -> StereoErrors:
         second,
         rig.T_camera_reference[1],
         problem.target,
-        pair_views(problem.shots, problem.roles, views),
+        pair_views(flat, problem.roles, views),
     )
 
 

@@ -29,6 +29,7 @@ _MIN_SIDE_PX = 7.0
 _MIN_HOLES_FRACTION = 0.5
 _MAX_SIGMA_PX = 0.35
 _MARK_AREA = (0.02, 0.7)
+_MARK_CONTRAST = 0.25
 _UNSEEN = "no mask board seen: is it in view, sharp, and warmer or colder than its holes?"
 
 
@@ -87,7 +88,8 @@ def detect_mask(image: NDArray[Any], target: Target) -> Detection:
             if lattice is None:
                 continue
             method = f"local {radius_px:g} px, level {level}"
-            detection = _numbered(image, holes, lattice, target, shrink, method)
+            marks = _marks(small, holes, lattice)
+            detection = _numbered(image, marks, lattice, target, shrink, method)
             if detection.found:
                 return detection
             if len(lattice.cells) > most:
@@ -197,6 +199,27 @@ def _aligned(quad: Array, across: Array, down: Array) -> Array:
     diagonal = across / np.linalg.norm(across) + down / np.linalg.norm(down)
     towards = (quad - quad.mean(0)) @ diagonal
     return np.roll(quad, -int(np.argmin(towards)), axis=0)
+
+
+def _marks(image: NDArray[Any], holes: Holes, lattice: HoleLattice) -> Holes:
+    """The holes with only those small blobs that are about as warm as the holes."""
+    counts = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.8)
+
+    def at(pixels: Array) -> Array:
+        x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, image.shape[1] - 1)
+        y = np.clip(np.rint(pixels[:, 1]).astype(int), 0, image.shape[0] - 1)
+        return np.asarray(counts[y, x], dtype=np.float64)
+
+    centres = lattice.corners.mean(1)
+    # Half a pitch beyond the middle of a side lies the mask itself.
+    gaps = np.concatenate([2.0 * (c[[0, 1]].mean(0, keepdims=True)) - m[None]
+                           for c, m in zip(lattice.corners, centres, strict=True)])
+    inside, mask = float(np.median(at(centres))), float(np.median(at(gaps)))
+    step = inside - mask
+    if len(holes.blobs) == 0 or step == 0.0:
+        return holes
+    alike = (at(holes.blobs) - mask) / step > _MARK_CONTRAST
+    return Holes(holes.corners, holes.blobs[alike], holes.blob_areas[alike])
 
 
 def _numbered(
