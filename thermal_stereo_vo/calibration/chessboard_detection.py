@@ -9,7 +9,7 @@ and grown line by line.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -79,7 +79,7 @@ def detect_chessboard(image: NDArray[Any], target: Target) -> Detection:
         lattice = _fitted(image, _enlarged(corners, shrink).reshape(*wanted, 2))
         refused = _judged(_oriented(lattice, wanted), target, method)
         if refused.found:
-            return refused
+            return replace(refused, beyond=_goes_on(image, lattice))
     pieces = [(name, _grown(image, _enlarged(seed, shrink), wanted)) for name, seed in seeds]
     for _, piece in pieces:
         if piece is not None and _is_cut(image, piece, wanted):
@@ -88,12 +88,12 @@ def detect_chessboard(image: NDArray[Any], target: Target) -> Detection:
         lattice = _fitted(image, _enlarged(corners, shrink).reshape(*wanted, 2))
         refused = _judged(_oriented(lattice, wanted), target, method)
         if refused.found:
-            return refused
+            return replace(refused, beyond=_goes_on(image, lattice))
     for name, piece in pieces:
         if piece is not None:
             detection = _judged(_oriented(piece, wanted), target, f"{name}, grown")
             if detection.found:
-                return detection
+                return replace(detection, beyond=_goes_on(image, piece))
             if refused.reason == _UNSEEN:
                 refused = detection
     return refused
@@ -234,6 +234,21 @@ def _grown(image: NDArray[Any], seed: Array, wanted: tuple[int, int]) -> Lattice
             break
         lattice = _fitted(image, best)
     return lattice
+
+
+def _goes_on(image: NDArray[Any], lattice: Lattice) -> bool:
+    """Whether one more line of corners follows on some side: a larger board than was said."""
+    for side in range(4):
+        pixels, good = np.rot90(lattice.pixels, side), np.rot90(lattice.good, side)
+        line = _next_line(pixels, good)
+        if line is None:
+            continue
+        ahead = _fitted(image, np.concatenate([pixels[:, -2:], line[:, None]], axis=1))
+        strength = np.abs(ahead.amplitude)
+        as_strong = strength[:, -1] > 0.6 * strength[:, -2]
+        if (ahead.good[:, -1] & as_strong).mean() > 0.8:
+            return True
+    return False
 
 
 def _is_cut(image: NDArray[Any], lattice: Lattice, wanted: tuple[int, int]) -> bool:

@@ -42,7 +42,13 @@ from thermal_stereo_vo.calibration.initial import (
     relative_place,
 )
 from thermal_stereo_vo.calibration.lenses import Lens, project, to_camera
-from thermal_stereo_vo.calibration.mask_model import flattened, hole_sides, prior_sigma_m
+from thermal_stereo_vo.calibration.mask_model import (
+    DEPTH,
+    WIDENING,
+    flattened,
+    hole_sides,
+    prior_sigma_m,
+)
 from thermal_stereo_vo.calibration.result import (
     CalibrationResult,
     CameraResult,
@@ -56,6 +62,7 @@ from thermal_stereo_vo.calibration.view_selection import (
     select_views,
 )
 from thermal_stereo_vo.calibration.views import BoardShot, BoardView
+from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.core.transforms import inverse, transform_points
 
@@ -206,7 +213,7 @@ def _initial_rig(problem: _Problem) -> Rig:
     return Rig(lenses, tuple(parameters), tuple(places), tuple(boards), flat)
 
 
-def _initial_place(problem: _Problem, cameras: Sequence[object]) -> Array:
+def _initial_place(problem: _Problem, cameras: Sequence[Camera]) -> Array:
     """T_second_first, and each half-turned second view set right."""
     first, second = problem.roles
     shared = [v for v, s in enumerate(problem.shots) if first in s.views and second in s.views]
@@ -216,25 +223,54 @@ def _initial_place(problem: _Problem, cameras: Sequence[object]) -> Array:
             "moment; check that the images are paired and the cameras overlap"
         )
     check_enough([problem.shots[v].views[second] for v in shared], f"{first} and {second}")
-    points = problem.target.points_m
+    place, shots = _agreed(problem.shots, problem.roles, cameras, problem.target)
+    problem.shots[:] = shots
+    return place
+
+
+def with_same_ends(
+    shots: Sequence[BoardShot],
+    roles: Sequence[str],
+    cameras: Sequence[Camera],
+    target: Target,
+) -> list[BoardShot]:
+    """The shots with the board numbered from the same end in both cameras."""
+    if not any(all(role in shot.views for role in roles) for shot in shots):
+        return list(shots)
+    return _agreed(shots, roles, cameras, target)[1]
+
+
+def _agreed(
+    shots: Sequence[BoardShot],
+    roles: Sequence[str],
+    cameras: Sequence[Camera],
+    target: Target,
+) -> tuple[Array, list[BoardShot]]:
+    """T_second_first that most shots agree on, and the shots with half-turned views set right."""
+    first, second = roles
+    points = target.points_m
     samples = {}
-    for v in shared:
-        views = problem.shots[v].views
-        T_first = board_pose(cameras[0], points[views[first].ids], views[first].pixels)  # type: ignore[arg-type]
-        options = [views[second]]
-        if has_half_turn(problem.target):
-            options.append(half_turn(views[second], problem.target))
-        samples[str(v)] = [
-            relative_place(T_first, board_pose(cameras[1], points[o.ids], o.pixels))  # type: ignore[arg-type]
+    for v, shot in enumerate(shots):
+        if not (first in shot.views and second in shot.views):
+            continue
+        view = shot.views[first]
+        T_first = board_pose(cameras[0], points[view.ids], view.pixels)
+        options = [shot.views[second]]
+        if has_half_turn(target):
+            options.append(half_turn(shot.views[second], target))
+        samples[v] = [
+            relative_place(T_first, board_pose(cameras[1], points[o.ids], o.pixels))
             for o in options
         ]
     place, chosen = agreed_place(samples)
-    for v in shared:
-        if chosen[str(v)] == 1:
-            shot = problem.shots[v]
-            turned = half_turn(shot.views[second], problem.target)
-            problem.shots[v] = BoardShot(shot.name, {**shot.views, second: turned})
-    return place
+    turned = list(shots)
+    for v, choice in chosen.items():
+        if choice == 1:
+            views = shots[v].views
+            turned[v] = BoardShot(
+                shots[v].name, {**views, second: half_turn(views[second], target)}
+            )
+    return place, turned
 
 
 def _view_rms(solution: Solution, observations: Sequence[Observation]) -> dict[tuple[int, int], float]:
@@ -424,6 +460,8 @@ def _judged(problem: _Problem, solution: Solution, training: Sequence[int]) -> C
         pair=pair,
         views=_records(problem, training, rms),
         warnings=tuple(warnings),
+        hole_widening_m=float(rig.board[WIDENING]) if len(rig.board) else None,
+        hole_depth_m=float(rig.board[DEPTH]) if len(rig.board) else None,
         residuals=residual_map,
     )
 

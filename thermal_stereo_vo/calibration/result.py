@@ -97,15 +97,28 @@ class ViewRecord:
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A calibration of one camera or of a pair (``pair`` is None for one)."""
+    """A calibration of one camera or of a pair (``pair`` is None for one).
+
+    ``hole_widening_m`` and ``hole_depth_m`` are what a mask's holes came out as (see
+    ``mask_model``); None for other boards.
+    """
 
     board: str
     cameras: Mapping[str, CameraResult]
     pair: PairResult | None
     views: tuple[ViewRecord, ...]
     warnings: tuple[str, ...]
+    hole_widening_m: float | None = None
+    hole_depth_m: float | None = None
     residuals: Mapping[str, Array] = field(default_factory=dict)
     """role -> (N, 4): x, y of the point and its residual, px, for plots."""
+
+    @property
+    def stereo_rms_px(self) -> float:
+        """RMS over the points of all cameras, as ``cv2.stereoCalibrate`` returns it."""
+        parts = [camera.training for camera in self.cameras.values()]
+        squares = sum(p.points * p.rms_px**2 for p in parts)
+        return float(np.sqrt(squares / max(sum(p.points for p in parts), 1)))
 
     def rig_calibration(self, origin: str = "") -> RigCalibration:
         """The rig as the rest of the package knows it; left and right bring R and P."""
@@ -132,6 +145,8 @@ class CalibrationResult:
             "cameras": {role: _camera_dict(c) for role, c in self.cameras.items()},
             "views": [asdict(view) for view in self.views],
             "warnings": list(self.warnings),
+            "hole_widening_m": self.hole_widening_m,
+            "hole_depth_m": self.hole_depth_m,
         }
         if self.pair is not None:
             pair = self.pair
@@ -146,6 +161,7 @@ class CalibrationResult:
                 "covariance": pair.covariance.tolist(),
                 "baseline_m": pair.baseline_m,
                 "baseline_sigma_m": pair.baseline_sigma_m,
+                "rms_px": self.stereo_rms_px,
                 "training": pair.training.as_dict(),
                 "held_out": None if pair.held_out is None else pair.held_out.as_dict(),
                 "held_out_how": pair.held_out_how,

@@ -35,11 +35,16 @@ class BoardView:
 
 @dataclass(frozen=True)
 class Detection:
-    """A board view, or the reason why there is none.  ``method`` says which attempt succeeded."""
+    """A board view, or the reason why there is none.
+
+    ``method`` says which attempt succeeded.  ``beyond`` is true where the board seems to go on
+    beyond the points that were asked for.
+    """
 
     view: BoardView | None
     reason: str = ""
     method: str = ""
+    beyond: bool = False
 
     @property
     def found(self) -> bool:
