@@ -11,6 +11,7 @@ from thermal_stereo_vo.cli.benchmark_stages import add_stages_arguments, run_sta
 MEASUREMENTS = {
     "scaling": "time against image size, features and window",
     "gaps": "accuracy with pairs replaced by copies or a shutter",
+    "ffc": "simulated flights with and without flat-field corrections",
     "solvers": "Gauss-Newton, Levenberg-Marquardt and Double Dogleg on the same problems",
     "table5": "nine simulated flights by every method: Table V of the paper",
     "radiometry": "flat field, gate and scene-based refinement on real recordings",

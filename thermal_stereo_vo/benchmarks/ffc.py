@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from thermal_stereo_vo.evaluation.metrics import evaluate
 from thermal_stereo_vo.evaluation.report import format_table
 from thermal_stereo_vo.pipeline import Config
 
-FLIGHTS: Mapping[str, tuple[float | None, float]] = {
-    "corridor": (60.0, 8.0),
-    "turn": (None, 3.0),
-    "hover": (None, 3.0),
+FLIGHTS: Mapping[str, tuple[str, float | None, float]] = {
+    "straight": ("corridor", 60.0, 8.0),
+    "turn": ("turn", None, 4.0),
+    "hover": ("hover", None, 3.0),
 }
-"""Preset -> (length in m, time of the first correction in s): a straight leg, a turn, hover."""
+"""Name -> (preset, length in m, time of the first correction in s)."""
 
 SCHEDULES: Mapping[str, tuple[str, ...]] = {
     "none": ("ffc.mode=none",),
@@ -60,7 +60,7 @@ def measure_cell(
     from thermal_stereo_vo.replay import replay
     from thermal_stereo_vo.stereo.rectification import Rectifier
 
-    length_m, first_s = FLIGHTS[flight]
+    preset, length_m, first_s = FLIGHTS[flight]
     overrides = (
         *SCHEDULES[schedule],
         f"ffc.first_s={first_s}",
@@ -68,7 +68,7 @@ def measure_cell(
         f"render.cache={cache / flight}",
     )
     dataset = open_simulated(
-        flight,
+        preset,
         SourceOptions(rate_hz=rate_hz, length_m=length_m, seed=seed, overrides=overrides),
     )
     calibration = dataset.calibration()
@@ -123,14 +123,12 @@ def measure_all(
     rate_hz: float,
     cache: Path,
     flights: Sequence[str] = tuple(FLIGHTS),
-    on_progress: Callable[[], None] = lambda: None,
 ) -> Iterator[FfcCell]:
     """Every flight under every schedule with every seed."""
     for flight in flights:
         for schedule in SCHEDULES:
             for seed in seeds:
                 yield measure_cell(flight, schedule, seed, config, rate_hz, cache)
-                on_progress()
 
 
 def ffc_report(cells: Sequence[FfcCell]) -> str:
