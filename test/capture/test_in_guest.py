@@ -14,6 +14,7 @@ MACHINE = HERE / "virtual_machine.py"
 UNAVAILABLE = 77
 
 
+@pytest.mark.skipif("WITHOUT_GUEST" in os.environ, reason="WITHOUT_GUEST is set")
 @pytest.mark.timeout(600)
 def test_passes_in_the_guest():
     tests = [sys.executable, "-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider"]
