@@ -28,6 +28,7 @@ from thermal_stereo_vo.simulation.targets import (
     board_poses,
     board_scene,
     heated_mask,
+    seen_by_all,
 )
 from thermal_stereo_vo.simulation.town import TownOptions, build_town, crossing
 from thermal_stereo_vo.simulation.trajectory import Hover, Leg, Limits, Motion, fly, wander
@@ -297,8 +298,11 @@ def board_poses_of(plan: RunPlan) -> tuple[NDArray[np.float64], ...]:
     """(4, 4) T_rig_board of every pose of a board preset, one a second."""
     rng = np.random.default_rng([plan.config.world.seed, 9])
     if plan.preset == "board_mask":
-        return tuple(board_poses(BOARD_POSES, (0.7, 1.2), (-20.0, 20.0), rng))
-    return tuple(board_poses(BOARD_POSES, (0.8, 1.4), (15.0, 40.0), rng))
+        points, distance_m, lean_deg = MASK.holes_m().reshape(-1, 3), (0.7, 1.2), (-20.0, 20.0)
+    else:
+        points, distance_m, lean_deg = CHESSBOARD.corners_m(), (0.9, 1.5), (15.0, 40.0)
+    is_seen = seen_by_all(plan.rig, points, margin_px=12.0 * plan.config.render.scale)
+    return tuple(board_poses(BOARD_POSES, distance_m, lean_deg, is_seen, rng))
 
 
 def _board(plan: RunPlan) -> Scene:
@@ -313,7 +317,7 @@ def _board(plan: RunPlan) -> Scene:
 
 def _targets() -> tuple[Preset, ...]:
     at_rest = {"rate_hz": 1.0, "flight.tilt_down_deg": 0.0, "render.lag": "none"}
-    board = {**at_rest, "duration_s": BOARD_POSES - 1.0}
+    board = {**at_rest, "duration_s": BOARD_POSES - 1.0, "render.edge_rays": 16}
     return (
         Preset("board_aluminium", "a polished chessboard under a clear sky, 27 poses",
                _settings({**board, "world.weather": "sunny_day"}),

@@ -30,11 +30,12 @@ class Lens:
     """The rays of a camera, through its distortion.
 
     ``grid`` (points, 2) and ``centres`` (H, W, 2) float32: x and y on the plane z = 1, see
-    ``sampling``.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
+    ``sampling``.  ``inner_rays`` resolve a pixel that shows an edge.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
     """
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, inner_rays: int = 2) -> None:
         self.camera = camera
+        self.inner_rays = inner_rays
         width, height = camera.size
         if width % 2 or height % 2:
             raise SimulationError(
@@ -43,9 +44,12 @@ class Lens:
             )
         x, y = np.meshgrid(np.arange(width), np.arange(height))
         corner_x, corner_y = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
-        mirror = np.where((x + y) % 2, -1.0, 1.0)
+        black = (x + y) % 2 == 1
         parts = [(corner_x, corner_y)]
-        parts += [(x + dx * mirror, y + dy) for dx, dy in sampling.INNER_PX]
+        parts += [
+            (x + np.where(black, -dy, dx), y + np.where(black, dx, dy))
+            for dx, dy in sampling.inner_rays_px(inner_rays)
+        ]
         points = np.concatenate([np.column_stack([a.ravel(), b.ravel()]) for a, b in parts])
         self.grid = np.ascontiguousarray(camera.unproject(points)[:, :2], dtype=np.float32)
         centres = camera.unproject(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
@@ -128,13 +132,13 @@ class Renderer:
         count = sampling.corner_points(hits, level, points)
         self._cast(hits, rays, points[:count], moving, boxes)
         sampling.refine_pixels(hits, level)
-        count = sampling.inner_points(level, points)
+        count = sampling.inner_points(level, lens.inner_rays, points)
         self._cast(hits, rays, points[:count], moving, boxes)
 
         radiance = np.zeros((height, width), np.float32)
         depth = np.empty((height, width), np.float32)
         owner = np.empty((height, width), np.int32)
-        samples = self._sample_scratch(height * width)
+        samples = self._sample_scratch(height * width * (4 + lens.inner_rays))
         count = sampling.gather_samples(hits, rays, self._facets, level, samples, depth, owner)
         sampling.shade_samples(
             samples,
@@ -170,10 +174,10 @@ class Renderer:
             )
         return self._hits[points]
 
-    def _sample_scratch(self, pixels: int) -> Samples:
-        n = 6 * pixels  # room for the worst case; untouched memory costs nothing
-        if pixels not in self._samples:
-            self._samples[pixels] = Samples(
+    def _sample_scratch(self, n: int) -> Samples:
+        # Room for the worst case; untouched memory costs nothing.
+        if n not in self._samples:
+            self._samples[n] = Samples(
                 np.empty(n, np.int32),
                 np.empty(n, np.int32),
                 np.empty((n, 2), np.float32),
@@ -181,7 +185,7 @@ class Renderer:
                 np.empty(n, np.float32),
                 np.empty(n, np.float32),
             )
-        return self._samples[pixels]
+        return self._samples[n]
 
     def _place_movers(self, time_s: float) -> tuple[NDArray[np.float64], RayCaster | None]:
         poses = self.T_map_movers(time_s)

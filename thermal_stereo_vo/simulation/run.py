@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.simulation.trajectory import Motion
 
 _ZERO_CELSIUS_KELVIN = 273.15
-PICTURE_VERSION = 2
+PICTURE_VERSION = 3
 """Raised whenever the same settings give other pictures, so that old caches are refused."""
 
 _IN_PICTURE = (
@@ -29,6 +29,7 @@ _IN_PICTURE = (
     "world.",
     "flight.",
     "render.scale",
+    "render.edge_rays",
     "render.lag",
     "render.row_time_us",
     "timing.skew_ms",

@@ -1,11 +1,11 @@
 """Which rays a picture needs, and how their hits become pixels.
 
 First the corners of blocks of 2x2 pixels are cast; where they disagree about the surface, or
-something slender passes, the corners of the pixels; where those disagree, two rays inside the pixel
+something slender passes, the corners of the pixels; where those disagree, some rays inside the pixel
 as well.  Band-limited textures need no more inside one surface.
 
 Grid points are numbered: first the (H + 1)(W + 1) pixel corners row by row, corner (0, 0) lying at
-pixel (-0.5, -0.5); then one inner ray of each of the H W pixels, then the other.
+pixel (-0.5, -0.5); then one inner ray of each of the H W pixels, then the next, and so on.
 """
 
 from __future__ import annotations
@@ -24,9 +24,18 @@ SKY = -1
 SIMPLE, CORNERS, DETAILED = 0, 1, 2
 """How a pixel is resolved: from the corners of its block, from its own, from those and two more."""
 
-INNER_PX = ((-1.0 / 6.0, -1.0 / 3.0), (1.0 / 6.0, 1.0 / 3.0))
-"""Inner rays (x, y) from the centre; x changes sign on the black fields of a chess board, so that
-an upright edge meets other columns in the next row."""
+
+def inner_rays_px(count: int) -> NDArray[np.float64]:
+    """(count, 2) inner rays (x, y) from the centre of the pixel, evenly spread.
+
+    Two lie on a slanting line; more follow the R2 sequence (Roberts 2018), which fills the square
+    evenly at any count.  Each has its opposite, so that no edge is shifted.
+    """
+    if count == 2:
+        return np.array([[-1.0 / 6.0, -1.0 / 3.0], [1.0 / 6.0, 1.0 / 3.0]])
+    n = np.arange(1, count // 2 + 1)
+    half = np.column_stack([n * 0.7548776662466927, n * 0.5698402909980532]) % 1.0 - 0.5
+    return np.concatenate([half, -half, np.zeros((count % 2, 2))])
 
 
 class Facets(NamedTuple):
@@ -218,18 +227,17 @@ def corner_points(hits: Hits, level: NDArray[np.uint8], out: NDArray[np.int32]) 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inner_points(level: NDArray[np.uint8], out: NDArray[np.int32]) -> int:
-    """Inner rays of the DETAILED pixels; like ``corner_points``."""
+def inner_points(level: NDArray[np.uint8], inner: int, out: NDArray[np.int32]) -> int:
+    """The ``inner`` rays of the DETAILED pixels; like ``corner_points``."""
     height, width = level.shape
     first = (height + 1) * (width + 1)
     count = 0
     for y in range(height):
         for x in range(width):
             if level[y, x] == DETAILED:
-                p = first + y * width + x
-                out[count] = p
-                out[count + 1] = p + height * width
-                count += 2
+                for n in range(inner):
+                    out[count] = first + (n * height + y) * width + x
+                    count += 1
     return count
 
 
@@ -265,8 +273,11 @@ def gather_samples(
     """
     height, width = level.shape
     across = width + 1
-    surfaces = np.empty(6, np.int64)
-    points = np.empty(6, np.int64)
+    inner = (len(rays.grid) - (height + 1) * across) // (height * width)
+    # Each corner counts for four pixels, and half as much as an inner ray for each of them.
+    inner_weight = 1.0 / (inner + 2.0)
+    surfaces = np.empty(4 + inner, np.int64)
+    points = np.empty(4 + inner, np.int64)
     total = 0
     for y in range(height):
         for x in range(width):
@@ -306,10 +317,10 @@ def gather_samples(
             p = y * across + x
             points[0], points[1] = p, p + 1
             points[2], points[3] = p + across, p + across + 1
-            points[4] = (height + 1) * across + pixel
-            points[5] = points[4] + height * width
+            for n in range(inner):
+                points[4 + n] = (height + 1) * across + n * height * width + pixel
             count = 0
-            for n in range(6):
+            for n in range(4 + inner):
                 q = points[n]
                 s = hits.surface[q]
                 k = 0
@@ -325,7 +336,7 @@ def gather_samples(
                     samples.depth[m] = 0.0
                     samples.offset_kelvin[m] = 0.0
                     count += 1
-                w = 0.125 if n < 4 else 0.25
+                w = 0.5 * inner_weight if n < 4 else inner_weight
                 samples.weight[m] += w
                 samples.plane[m, 0] += w * rays.grid[q, 0]
                 samples.plane[m, 1] += w * rays.grid[q, 1]

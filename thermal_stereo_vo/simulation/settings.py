@@ -64,6 +64,12 @@ class RenderConfig:
     """How pictures are made."""
 
     scale: float = setting(1.0, "Image size relative to 640x480.", minimum=0.05, maximum=1.0)
+    edge_rays: int = setting(
+        2,
+        "Rays inside a pixel that shows an edge, beside its corners; targets use 16.",
+        minimum=2,
+        maximum=64,
+    )
     lag: str = setting(
         "reprojected",
         "How motion smears a bolometer: one picture shifted along its optical flow, or "

@@ -49,7 +49,9 @@ class Studio:
         self._thermal = thermal_band(plan.weather, responsivity, lattice)
         # Pictures of the visible band are kept relative to the light there is.
         self._visible = visible_band(replace(plan.weather, illumination=1.0), lattice)
-        self._lenses = {role: Lens(plan.rig[role].camera) for role in plan.roles}
+        self._lenses = {
+            role: Lens(plan.rig[role].camera, config.render.edge_rays) for role in plan.roles
+        }
         self._exposure_s = VisibleCamera(config.visible, plan.weather.illumination, (0,)).exposure_s
 
     def render(self, role: str, time_s: float) -> Rendering:

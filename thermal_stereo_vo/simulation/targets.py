@@ -6,13 +6,20 @@ radiate their own warmth.  The mask board is that of Vidas et al.: square holes 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.transforms import exp_so3, make_transform
+from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.transforms import (
+    exp_so3,
+    inverse,
+    make_transform,
+    transform_points,
+)
 from thermal_stereo_vo.simulation.materials import Material
 from thermal_stereo_vo.simulation.mesh import Mesh, MeshBuilder
 from thermal_stereo_vo.simulation.scene import Heating, Mover, Scene
@@ -142,15 +149,19 @@ def board_scene(mesh: Mesh, T_map_boards: Sequence[Floats], hold_s: float) -> Sc
 
 
 def board_poses(
-    count: int, distance_m: tuple[float, float], lean_deg: tuple[float, float],
+    count: int,
+    distance_m: tuple[float, float],
+    lean_deg: tuple[float, float],
+    is_seen: Callable[[Floats], bool],
     rng: np.random.Generator,
-) -> list[Floats]:  # fmt: skip
-    """(4, 4) poses of a board before a camera that looks along its z axis, spread over its view.
+) -> list[Floats]:
+    """(4, 4) poses T_rig_board before a rig that looks along z, spread over its view.
 
-    ``lean_deg`` is how far the board leans back, so that it mirrors the sky.
+    ``lean_deg`` is how far the board leans back, so that it mirrors the sky.  Only poses that
+    ``is_seen`` accepts are taken.
     """
-    poses = []
-    for n in range(count):
+    poses: list[Floats] = []
+    for n in itertools.count():
         z = rng.uniform(*distance_m)
         # Nine places in turn, so that the corners of the picture are covered.
         x = 0.36 * z * ((n % 3) - 1) + rng.normal(0.0, 0.03) * z
@@ -158,8 +169,29 @@ def board_poses(
         lean = np.radians(rng.uniform(*lean_deg))
         R = exp_so3([0.0, rng.uniform(-0.5, 0.5), 0.0]) @ exp_so3([-lean, 0.0, 0.0])
         R = R @ exp_so3([0.0, 0.0, rng.uniform(-0.35, 0.35)])
-        poses.append(make_transform(R, [x, y, z]))
+        pose = make_transform(R, [x + 0.134, y, z])  # before the middle of both eyes
+        if is_seen(pose):
+            poses.append(pose)
+        if len(poses) == count:
+            break
     return poses
+
+
+def seen_by_all(
+    rig: RigCalibration, points_m: Floats, margin_px: float
+) -> Callable[[Floats], bool]:
+    """Whether every camera sees the points (N, 3) of a board in a pose T_rig_board."""
+
+    def is_seen(T_rig_board: Floats) -> bool:
+        for mounted in rig.cameras.values():
+            T_camera_board = inverse(mounted.T_rig_camera) @ T_rig_board
+            pixels = mounted.camera.project(transform_points(T_camera_board, points_m))
+            highest = np.array(mounted.camera.size) - 1 - margin_px
+            if not np.all((pixels >= margin_px) & (pixels <= highest)):
+                return False
+        return True
+
+    return is_seen
 
 
 def blackbody_scene(step_s: float | None = None, step_kelvin: float = 0.0) -> Scene:

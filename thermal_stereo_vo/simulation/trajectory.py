@@ -177,11 +177,21 @@ def wander(
         )
 
     amount = 0.1
-    for _ in range(4):
-        motion = with_unrest(amount)
-        rates = [np.linalg.norm(motion.angular_velocity_rad_s(t)) for t in times[::4]]
-        amount *= np.radians(rotation_deg_s) / float(np.mean(rates))
+    for _ in range(6):
+        angles = BSpline(knots, look + amount * unrest, _DEGREE)
+        rate = _turn_rate_rad_s(angles(times), angles.derivative()(times))
+        amount *= np.radians(rotation_deg_s) / float(np.mean(rate))
     return with_unrest(amount)
+
+
+def _turn_rate_rad_s(angles: Floats, rates: Floats) -> Floats:
+    """(N,) length of the angular velocity of angles (N, 3) yaw, pitch, roll and their rates."""
+    _, pitch, roll = angles.T
+    yaw_rate, pitch_rate, roll_rate = rates.T
+    x = roll_rate - np.sin(pitch) * yaw_rate
+    y = np.cos(roll) * pitch_rate + np.cos(pitch) * np.sin(roll) * yaw_rate
+    z = -np.sin(roll) * pitch_rate + np.cos(pitch) * np.cos(roll) * yaw_rate
+    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float64)
 
 
 def _knots(count: int, knot_s: float = _KNOT_S) -> Floats:
@@ -199,6 +209,7 @@ def _spline_motion(
     count = len(control)
     still = int(limits.rest_s / _KNOT_S) + _DEGREE
     ramp = np.clip((np.arange(count) - still) / 4.0, 0.0, 1.0)
+    ramp *= np.clip((count - 2 * _DEGREE - np.arange(count)) / 4.0, 0.0, 1.0)  # and at the end
     kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
     kernel /= np.sqrt(np.sum(kernel**2))
     white = rng.standard_normal((count + len(kernel) - 1, 4))

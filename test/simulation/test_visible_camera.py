@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE
+from thermal_stereo_vo.core.config import with_overrides
+from thermal_stereo_vo.simulation.presets import find_preset
+from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.settings import VisibleCameraConfig
+from thermal_stereo_vo.simulation.studio import Studio
+from thermal_stereo_vo.simulation.visible_camera import SIGNAL_STEP, VisibleCamera
+
+GREY = np.full((80, 80), round(0.25 / SIGNAL_STEP), np.uint16)
+
+
+def picture(illumination: float, **settings) -> np.ndarray:
+    camera = VisibleCamera(VisibleCameraConfig(blur_px=0.0, **settings), illumination, (1,))
+    return camera.expose(GREY, illumination, 0).astype(float)
+
+
+def test_exposure_keeps_the_grey_until_the_light_runs_out() -> None:
+    day, dusk, night = (picture(light).mean() for light in (1.0, 0.005, 3e-4))
+    assert day == pytest.approx(78.5, abs=1.0)
+    assert dusk == pytest.approx(day, abs=1.0)
+    assert night < 0.8 * day
+
+
+def test_noise_is_that_of_photons_and_read_out() -> None:
+    found = picture(1.0)
+    electrons = 0.30 * 10000.0
+    sigma = np.sqrt(electrons + 8.0**2) * 255.0 / 10000.0
+    assert found.std() == pytest.approx(np.hypot(sigma, np.sqrt(1 / 12)), rel=0.05)
+    # In the dark the same grey is made of fewer photons.
+    assert 2.0 < picture(0.005).std() / found.std() < 3.2
+
+
+def test_the_bands_share_geometry_and_not_texture() -> None:
+    config = with_overrides(
+        find_preset("ms-01").config, ("render.scale=0.25", "render.workers=0", "render.lag=none")
+    )
+    studio = Studio(plan_run("ms-01", config))
+    seen = {role: studio.render(role, 20.0) for role in (VISIBLE, THERMAL)}
+    depths = [np.median(view.depth_m) for view in seen.values()]
+    assert depths[0] == pytest.approx(depths[1], rel=0.15)
+    again = studio.render(VISIBLE, 20.0)
+    np.testing.assert_array_equal(again.radiance, seen[VISIBLE].radiance)
+    # Within flat parts the textures have nothing in common: compare the same camera's two bands.
+    thermal_as_visible = studio._renderer.render(  # the same lens, the other band
+        studio._lenses[VISIBLE], studio._thermal, studio._plan.camera_poses(VISIBLE), 20.0
+    )
+    np.testing.assert_array_equal(thermal_as_visible.depth_m, seen[VISIBLE].depth_m)
+    patch = (slice(5, 35), slice(60, 100))
+    a = seen[VISIBLE].radiance[patch].ravel()
+    b = thermal_as_visible.radiance[patch].ravel()
+    a, b = a - a.mean(), b - b.mean()
+    assert abs(a @ b) < 0.5 * np.linalg.norm(a) * np.linalg.norm(b)
