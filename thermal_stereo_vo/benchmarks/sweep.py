@@ -228,7 +228,7 @@ def run_on_cluster(
             "--scheduler needs Dask, which is not installed: pip install distributed"
         ) from None
     try:
-        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        client = Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"no Dask scheduler answers at {scheduler}: start one with 'dask scheduler' and give "

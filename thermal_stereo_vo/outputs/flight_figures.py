@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Okabe and Ito again; blue, red and green as in the paper, and one more.
 COLOURS = dict(zip(METHODS, ("#0072B2", "#D55E00", "#009E73", "#CC79A7"), strict=True))
 # The solvers lie upon each other: the lower ones show at the sides of the upper ones.
-WIDTHS = dict(zip(METHODS, (5.0, 3.0, 1.2, 2.0), strict=True))
+WIDTHS = dict(zip(METHODS, (4.0, 2.5, 1.2, 2.0), strict=True))
 
 
 def plot_flight(path: Path, flight: str, cells: Sequence[Cell]) -> None:
@@ -43,11 +43,11 @@ def plot_flight(path: Path, flight: str, cells: Sequence[Cell]) -> None:
 
 
 def _draw_ways(axes: Axes, cells: Sequence[Cell]) -> None:
-    truth = np.array(cells[0].true_positions_m)
-    axes.plot(truth[:, 0], truth[:, 2], color=TRUTH_COLOUR, lw=3.0, label="ground truth")
     for cell in cells:
         way = np.array([[np.nan if v is None else v for v in p] for p in cell.positions_m], float)
         axes.plot(way[:, 0], way[:, 2], **_style(cell, cells))
+    truth = np.array(cells[0].true_positions_m)
+    axes.plot(truth[:, 0], truth[:, 2], color=TRUTH_COLOUR, lw=1.3, label="ground truth")
     axes.plot(truth[0, 0], truth[0, 2], "o", color=START_COLOUR, ms=9, mec="white", label="start")
     # The world is the left camera at the start: x to the right, z ahead.
     axes.set(title="from above", xlabel="x (m)", ylabel="z (m)")
