@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,16 @@ class FeatureMatcher:
     def sees_enough(self, features: StereoFeatures, camera: StereoCamera) -> bool:
         """Whether both eyes agree on enough points to measure a motion from this frame on.
 
-        The loop from a frame to itself closes where they do.
+        The loop from a frame to itself closes where they do.  It also closes now and then by
+        chance: just as often when the eyes are exchanged, which tells true partners from others.
         """
-        loops = match_loops(features, features, camera, np.eye(4), self._config.matching)
-        return len(loops) >= self._config.motion.min_inliers
+        exchanged = StereoFeatures(
+            features.right, features.left, features.right_grid, features.left_grid, features.size
+        )
+        camera_exchanged = replace(camera, cx=camera.cx_right, cx_right=camera.cx)
+        by_chance = self.match(exchanged, exchanged, camera_exchanged, np.eye(4))
+        loops = self.match(features, features, camera, np.eye(4))
+        return len(loops) >= self._config.motion.min_inliers and len(loops) > 2 * len(by_chance)
 
     def measure(
         self,

@@ -116,9 +116,8 @@ class FrameToFrameOdometry:
             found = self._measure(features, reference, camera, None)
         if found is None:
             result = state.unmeasured(stats, "too few matches agree on a motion")
-            never_moved = state.prior.twist is None and self._matcher.sees_enough(features, camera)
-            if result.status is TrackingStatus.LOST or never_moved:
-                # Nothing of the old reference is in sight any more, or never was: go on from here.
+            if result.status is TrackingStatus.LOST:
+                # Nothing of the old reference is in sight any more: go on from here.
                 self._reference = _Reference(features, state.pose, stamp_ns)
                 state.prior.forget()
             return result
