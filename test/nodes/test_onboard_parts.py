@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image, Imu
 
 from thermal_stereo_vo.core.calibration_yaml import dump_camera_info
@@ -159,8 +159,13 @@ def test_a_rate_that_is_not_measured_is_none() -> None:
     assert conversions.imu_from_msg(message) is None
 
 
-def test_files_in_place_of_camera_info(ros, room, tmp_path: Path) -> None:
-    """Given files, the node is ready for images that nobody has published a calibration for."""
+@pytest.mark.parametrize("offered", [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT])
+def test_files_in_place_of_camera_info(ros, room, tmp_path: Path, offered) -> None:
+    """Given files, the node asks for images of which nobody publishes a calibration.
+
+    It asks for what the sender offers: a reliable wish would find no best-effort sender, and of an
+    unreliable image some packet is lost too often.
+    """
     infos = infos_from_calibration(room.calibration())
     urls = {}
     for eye in EYES:
@@ -168,8 +173,12 @@ def test_files_in_place_of_camera_info(ros, room, tmp_path: Path) -> None:
         path.write_text(dump_camera_info(infos[eye]))
         urls[f"{eye}_calibration"] = f"file://{path}"
     node = ros.start("onboard_node", **urls)
-    out = {e: ros.node.create_publisher(Image, f"{e}/image_raw", QoSProfile(depth=9)) for e in EYES}
+    qos = QoSProfile(depth=9, reliability=offered)
+    out = {eye: ros.node.create_publisher(Image, f"{eye}/image_raw", qos) for eye in EYES}
     ros.spin_until(lambda: all(p.get_subscription_count() > 0 for p in out.values()), "the node")
+    for eye in EYES:
+        (asked,) = ros.node.get_subscriptions_info_by_topic(f"{eye}/image_raw")
+        assert asked.qos_profile.reliability == offered
     assert node.poll() is None
 
 

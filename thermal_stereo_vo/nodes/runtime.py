@@ -41,6 +41,7 @@ LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 IMAGES_OUT = QoSProfile(depth=5)
 """Reliable, so that both kinds of subscription connect."""
 IMAGES_NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+IMAGES_NEWEST_RELIABLE = QoSProfile(depth=5)
 PATIENT = 50
 """Images of one eye that may wait for the other where none may be lost."""
 IMAGES_ALL = QoSProfile(depth=PATIENT)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT
@@ -98,13 +99,12 @@ class ImageInput:
 
     def open(self) -> None:
         """Ask for images."""
-        qos = runtime.IMAGES_ALL if self._process_all else runtime.IMAGES_NEWEST
         self._subscriptions = [
             self._node.create_subscription(
                 Image,
                 topic,
                 partial(self._on_image, eye, topic),
-                qos,
+                runtime.IMAGES_ALL if self._process_all else self._newest(topic),
                 qos_overriding_options=runtime.overridable(),
             )
             for eye, topic in zip(EYES, self.topics, strict=True)
@@ -134,6 +134,17 @@ class ImageInput:
             ("left_alone", str(counters.first_alone)),
             ("right_alone", str(counters.second_alone)),
         )
+
+    def _newest(self, topic: str) -> QoSProfile:
+        """Reliable where every sender is, as an image is many packets, of which one is easily lost.
+
+        A reliable subscription would hear nothing from a best-effort sender.
+        """
+        offered = [
+            info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(topic)
+        ]
+        reliable = bool(offered) and all(r == ReliabilityPolicy.RELIABLE for r in offered)
+        return runtime.IMAGES_NEWEST_RELIABLE if reliable else runtime.IMAGES_NEWEST
 
     def _new_pairer(self) -> StereoPairer[RadiometricFrame]:
         return StereoPairer(patient(self._pairing) if self._process_all else self._pairing)

@@ -184,8 +184,11 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
             self.get_logger().info(f"recorded a view of a uniform source: {path}")
 
     def _on_event(self, event: GateEvent) -> None:
-        log = self.get_logger()
-        (log.error if event.ongoing else log.info)(str(event))
+        # Two lines, as rclpy ties a line of code to one severity.
+        if event.ongoing:
+            self.get_logger().error(str(event))
+        else:
+            self.get_logger().info(str(event))
 
     def _watch_over(self) -> None:
         """Once a second: streams that have died, and inhibitions that were forgotten."""
