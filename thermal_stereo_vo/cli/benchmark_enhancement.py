@@ -19,6 +19,14 @@ def add_enhancement_arguments(parser: argparse.ArgumentParser) -> None:
         "the sensor's whole range to equalisation without the sky (Mouats et al. 2015, Fig. 9)."
     )
     add_flight_arguments(parser)
+    parser.add_argument(
+        "--window",
+        type=int,
+        default=0,
+        metavar="N",
+        help="odometry.window; 0 (default) is the paper's method, which sees nothing but the view; "
+        "the windowed one follows linear counts and needs the view only to find itself again",
+    )
 
 
 def run_enhancement(args: argparse.Namespace) -> int:
@@ -32,13 +40,13 @@ def run_enhancement(args: argparse.Namespace) -> int:
         enhancement_report,
         measure_views,
     )
+    from thermal_stereo_vo.core.config import with_overrides
     from thermal_stereo_vo.pipeline import Config
 
+    config = with_overrides(Config(), [f"odometry.window={args.window}"])
     seeds = range(1, args.seeds + 1)
     flights = args.seeds * len(VIEWS)
     with picture_cache(args) as cache, progress(flights, "flight", quiet=args.quiet) as step:
-        cells = list(
-            measure_views(seeds, args.preset, flight_settings(args), Config(), cache, step)
-        )
+        cells = list(measure_views(seeds, args.preset, flight_settings(args), config, cache, step))
     print(enhancement_report(cells))
     return 0
