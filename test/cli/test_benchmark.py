@@ -99,6 +99,21 @@ def test_stages_in_turns_with_the_baseline(drive, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
+        (["simulate", "--frames", "0"], "--frames must be 1 or more, not 0"),
+        (["simulate", "--workers", "0"], "--workers must be 1 or more, not 0"),
+        (["simulate", "--preset", "moon"], "there is no preset 'moon'"),
+        (["solvers", "--matches", "nowhere"], "nowhere holds no recorded matches"),
+        (["radiometry", "--data", "nowhere"], "there is no folder nowhere"),
+    ],
+)
+def test_wrong_use_of_what_needs_no_recording(arguments, complaint, capsys):
+    assert main(["benchmark", *arguments]) == 2
+    assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
         (["--frames", "0"], "--frames must be 1 or more, not 0"),
         (["--frames", "2"], "'drive' gives 2 pairs: a measurement needs at least 3"),
         (["--repeat", "0"], "--repeat must be 1 or more, not 0"),

@@ -14,6 +14,7 @@ MEASUREMENTS = {
     "ffc": "simulated flights with and without flat-field corrections",
     "solvers": "Gauss-Newton, Levenberg-Marquardt and Double Dogleg on the same problems",
     "table5": "nine simulated flights by every method: Table V of the paper",
+    "simulate": "pictures a second, processor time and memory of the simulator",
     "radiometry": "flat field, gate and scene-based refinement on real recordings",
     "shutterless": "odometry while the cores warm up without a shutter",
     "enhancement": "odometry on 8-bit views made in several ways",
