@@ -13,7 +13,7 @@ import multiprocessing
 import queue
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -81,13 +81,15 @@ class Sweep:
 class FlightJob:
     """One flight: for each seed the methods whose cells are missing.
 
-    ``pictures`` is where the noise-free pictures are kept; None uses a folder that goes away.
+    ``pictures`` is where the noise-free pictures are kept; None uses a folder that goes away.  With
+    ``forget`` they are removed once all seeds have flown.
     """
 
     sweep: Sweep
     flight: str
     missing: tuple[tuple[int, tuple[str, ...]], ...]
     pictures: str | None = None
+    forget: bool = False
     render_workers: int = 0
 
     @property
@@ -130,7 +132,9 @@ def claim_folder(folder: Path, sweep: Sweep) -> Path:
     return folder / CELLS_FOLDER
 
 
-def open_jobs(sweep: Sweep, cells: Path, pictures: Path | None) -> list[FlightJob]:
+def open_jobs(
+    sweep: Sweep, cells: Path, pictures: Path | None, *, forget: bool = False
+) -> list[FlightJob]:
     """A job for each flight that has cells missing in ``cells``.
 
     Raises SimulationError for an unknown flight and ConfigError for an unknown method.
@@ -152,7 +156,7 @@ def open_jobs(sweep: Sweep, cells: Path, pictures: Path | None) -> list[FlightJo
                 missing.append((seed, methods))
         if missing:
             place = None if pictures is None else str(pictures / flight)
-            jobs.append(FlightJob(sweep, flight, tuple(missing), place))
+            jobs.append(FlightJob(sweep, flight, tuple(missing), place, forget))
     return jobs
 
 
@@ -161,7 +165,7 @@ def fly(job: FlightJob, on_frame: Callable[[], None] = lambda: None) -> Iterator
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with _pictures(job.pictures) as pictures:
+        with _pictures(job.pictures, job.forget) as pictures:
             more = (f"render.cache={pictures}", f"render.workers={job.render_workers}")
             for seed, methods in job.missing:
                 dataset = job.sweep.dataset(job.flight, seed, more)
@@ -242,12 +246,6 @@ def run_on_cluster(
                 on_cell(cell)
 
 
-def forget_pictures(pictures: Path, flights: Iterable[str]) -> None:
-    """Remove the noise-free pictures of these flights."""
-    for flight in flights:
-        shutil.rmtree(pictures / flight, ignore_errors=True)
-
-
 def _fly_once(
     job: FlightJob,
     dataset: SimulatedDataset,
@@ -276,9 +274,11 @@ def _fly_once(
 
 
 @contextmanager
-def _pictures(folder: str | None) -> Iterator[str]:
+def _pictures(folder: str | None, forget: bool) -> Iterator[str]:
     if folder is not None:
         yield folder
+        if forget:
+            shutil.rmtree(folder, ignore_errors=True)
         return
     with tempfile.TemporaryDirectory(prefix="pictures_") as temporary:
         yield temporary

@@ -61,7 +61,7 @@ def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
         "report; on a cluster, where it must be shared, none)",
     )
     parser.add_argument(
-        "--forget-pictures", action="store_true", help="remove them once all is flown"
+        "--forget-pictures", action="store_true", help="remove those of a flight once it is flown"
     )
     parser.add_argument(
         "--scheduler",
@@ -76,7 +76,6 @@ def run_table5(args: argparse.Namespace) -> int:
     """Fly what is missing and write the report; returns the exit code."""
     from thermal_stereo_vo.benchmarks.sweep import (
         claim_folder,
-        forget_pictures,
         open_jobs,
         run_here,
         run_on_cluster,
@@ -90,7 +89,7 @@ def run_table5(args: argparse.Namespace) -> int:
     if pictures is None and args.scheduler is None:
         pictures = args.output / PICTURES_FOLDER
     cells = claim_folder(args.output, sweep)
-    jobs = open_jobs(sweep, cells, pictures)
+    jobs = open_jobs(sweep, cells, pictures, forget=args.forget_pictures)
     say = _nothing if args.quiet else _print_cell
     if args.scheduler is not None:
         with progress(sum(job.cells for job in jobs), "cell", quiet=args.quiet) as step:
@@ -98,8 +97,6 @@ def run_table5(args: argparse.Namespace) -> int:
     else:
         with progress(sum(job.frames() for job in jobs), "pair", quiet=args.quiet) as step:
             run_here(jobs, cells, args.processes, on_frame=step, on_cell=say)
-    if args.forget_pictures and pictures is not None:
-        forget_pictures(pictures, sweep.flights)
     _write_report(args, sweep, cells, jobs)
     return 0
 
