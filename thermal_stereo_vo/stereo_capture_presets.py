@@ -65,7 +65,7 @@ _PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
         "Two analog thermal cameras on cheap USB grabbers (720 samples a line), 8 bits, free\n"
         "running.",
         {
-            "pairing": {"tolerance_ms": 16.7},
+            "pairing": {"tolerance_ms": 20.0},
             "grabbers": {
                 **_eyes(width=720, height=480, standard="NTSC", stamp_offset_ms=-_NTSC_FRAME_MS),
                 "ffc": {"authority": "none"},

@@ -81,18 +81,19 @@ def test_moving_one_picture_equals_rendering_many(band) -> None:
     )
     assert 2.0 < largest < 8.0
     quick = np.empty_like(sharp.radiance)
-    smear(sharp.radiance, flow, delays, quick)
+    smear(sharp.radiance, flow, delays, delays, quick)
     inner = (slice(10, -10), slice(12, -12))
     texture = sharp.radiance[inner].std()
     assert np.sqrt(np.mean((quick - slow)[inner] ** 2)) < 0.06 * texture
     # Without the smear, or with its sign turned, they are far apart.
     assert np.sqrt(np.mean((sharp.radiance - slow)[inner] ** 2)) > 0.3 * texture
-    smear(sharp.radiance, -flow, delays, quick)
+    smear(sharp.radiance, -flow, delays, delays, quick)
     assert np.sqrt(np.mean((quick - slow)[inner] ** 2)) > 0.5 * texture
 
 
 def test_what_stands_still_is_not_smeared(rng) -> None:
     image = rng.uniform(0, 100, (20, 30)).astype(np.float32)
     out = np.empty_like(image)
-    smear(image, np.zeros((20, 30, 2), np.float32), exponential_delays(8), out)
+    delays = exponential_delays(8)
+    smear(image, np.zeros((20, 30, 2), np.float32), delays, delays, out)
     np.testing.assert_array_equal(out, image)

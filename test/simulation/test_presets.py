@@ -90,7 +90,8 @@ def test_an_unknown_preset_is_refused_with_the_known_ones() -> None:
 def test_only_what_changes_pictures_changes_their_key() -> None:
     key = plan_of("hover").picture_key()
     for same in ("thermal.netd_mk=80", "ffc.mode=periodic", "render.workers=0",
-                 "timing.hidden=true", "thermal.output=agc", "navigation.gyro_noise=0"):  # fmt: skip
+                 "timing.hidden=true", "thermal.output=agc",
+                 "navigation.gyro_noise=0"):  # fmt: skip
         assert plan_of("hover", same).picture_key() == key, same
     for other in ("thermal.time_constant_ms=5", "world.weather=sunny_day", "flight.seed=2",
                   "render.lag=none", "timing.skew_ms=3", "rate_hz=20"):  # fmt: skip

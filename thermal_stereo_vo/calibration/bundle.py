@@ -46,7 +46,8 @@ class Observation:
 class Rig:
     """What is estimated.
 
-    ``parameters[c]`` are the lens parameters of camera c, ``T_camera_reference[c]`` (4, 4) its place
+    ``parameters[c]`` are the lens parameters of camera c, ``T_camera_reference[c]`` (4, 4) its
+    place
     (the first is the reference and stays the identity), ``T_reference_board[v]`` (4, 4) the boards.
     ``board`` (2,) are the widening and depth of mask holes, (0,) for flat boards.
     """
@@ -60,7 +61,7 @@ class Rig:
     @property
     def shared_count(self) -> int:
         """Lens parameters of all cameras, six for each camera but the first, and the board's."""
-        return self.board_slice.stop
+        return int(self.board_slice.stop)
 
     @property
     def board_slice(self) -> slice:
@@ -82,12 +83,12 @@ class Rig:
         """The rig after a step of the shared parameters (poses by left perturbation)."""
         parameters = tuple(p + shared[self.lens_slice(c)] for c, p in enumerate(self.parameters))
         places = [self.T_camera_reference[0]]
-        for c in range(1, len(self.parameters)):
-            places.append(exp_se3(shared[self.pose_slice(c)]) @ self.T_camera_reference[c])
+        places += [
+            exp_se3(shared[self.pose_slice(c)]) @ self.T_camera_reference[c]
+            for c in range(1, len(self.parameters))
+        ]
         board = self.board + shared[self.board_slice]
-        return replace(
-            self, parameters=parameters, T_camera_reference=tuple(places), board=board
-        )
+        return replace(self, parameters=parameters, T_camera_reference=tuple(places), board=board)
 
 
 @dataclass(frozen=True)
@@ -296,9 +297,7 @@ def _cost(
     return total if np.isfinite(total) else np.inf
 
 
-def _linearise(
-    rig: Rig, observations: Sequence[Observation], scale_px: float
-) -> dict[int, _Block]:
+def _linearise(rig: Rig, observations: Sequence[Observation], scale_px: float) -> dict[int, _Block]:
     size = rig.shared_count
     blocks: dict[int, _Block] = {}
     for o in observations:
@@ -413,7 +412,7 @@ def _step(
 
 
 def place_covariance(rig: Rig, covariance: Array, camera: int) -> tuple[Array, Array]:
-    """Covariances (6, 6) of a camera's place: of the left perturbation, and of (t, rotation vector).
+    """Covariances (6, 6) of a camera's place: left perturbation, and (t, rotation vector).
 
     A left perturbation (rho, phi) moves t by rho - [t]x phi and the rotation vector by the inverse
     left Jacobian times phi.

@@ -70,7 +70,8 @@ def check_known_baseline(pair: PairResult, target: Target, known_m: float) -> No
     allowed = max(_SCALE_LIMIT, 3.0 * pair.baseline_sigma_m / known_m)
     if abs(ratio - 1.0) > allowed:
         raise CalibrationError(
-            f"the cameras come out {1e3 * pair.baseline_m:.1f} mm apart, but {1e3 * known_m:.1f} mm "
+            f"the cameras come out {1e3 * pair.baseline_m:.1f} mm apart, but {1e3 * known_m:.1f} "
+            "mm "
             f"are known ({100 * (ratio - 1):+.1f} %): with squares of "
             f"{1e3 * target.spacing_m / ratio:.2f} mm instead of {1e3 * target.spacing_m:.2f} mm "
             "both would agree; measure the board and correct --board (or --baseline)"
@@ -84,7 +85,8 @@ def check_eyes(pair: PairResult, roles: Sequence[str]) -> None:
     offset_m = inverse(pair.T_second_first)[:3, 3]
     if offset_m[0] < 0.0 and abs(offset_m[0]) > 0.5 * pair.baseline_m:
         raise CalibrationError(
-            f"the eyes are swapped: the right camera lies {1e3 * pair.baseline_m:.1f} mm to the LEFT "
+            f"the eyes are swapped: the right camera lies {1e3 * pair.baseline_m:.1f} mm to the "
+            "LEFT "
             "of the left one; exchange the two sources (or topics)"
         )
 
@@ -125,7 +127,8 @@ def _findings(
         ):
             if name in sound:
                 found.append(
-                    f"{name}: the points come out behind the cameras, and in front with this undone; "
+                    f"{name}: the points come out behind the cameras, and in front with this "
+                    "undone; "
                     f"{advice}"
                 )
                 break
@@ -144,13 +147,15 @@ def _findings(
     if abs(scale - 1.0) > _SCALE_LIMIT:
         baseline_m = float(np.linalg.norm(T[:3, 3]))
         found.append(
-            f"wrong scale: corners come out {100 * (scale - 1):+.1f} % apart; either the squares are "
+            f"wrong scale: corners come out {100 * (scale - 1):+.1f} % apart; either the squares "
+            "are "
             f"{1e3 * target.spacing_m * scale:.2f} mm and not {1e3 * target.spacing_m:.2f} mm, or "
             f"the baseline is {1e3 * baseline_m / scale:.1f} mm and not {1e3 * baseline_m:.1f} mm"
         )
     if abs(errors.yaw_error_rad) > _YAW_LIMIT_RAD:
         found.append(
-            f"relative yaw off by {1e3 * errors.yaw_error_rad:+.2f} mrad: distances by both eyes and "
+            f"relative yaw off by {1e3 * errors.yaw_error_rad:+.2f} mrad: distances by both eyes "
+            "and "
             "by one drift apart as the board goes away, which no epipolar error shows"
         )
     return found

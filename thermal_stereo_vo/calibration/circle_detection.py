@@ -42,26 +42,24 @@ def detect_circles(image: NDArray[Any], target: Target) -> Detection:
                         ),
                         method=f"{polarity} dots, {name}",
                     )
-    return Detection(
-        None, "no grid of dots seen: is the whole board in view and sharp?"
-    )
+    return Detection(None, "no grid of dots seen: is the whole board in view and sharp?")
 
 
 def _blob_detector(shape: tuple[int, ...]) -> Any:
-    parameters = cv2.SimpleBlobDetector_Params()
+    parameters = cv2.SimpleBlobDetector_Params()  # type: ignore[attr-defined]
     parameters.minArea = 12.0
     parameters.maxArea = 0.02 * shape[0] * shape[1]
     parameters.minDistBetweenBlobs = 4.0
     parameters.minThreshold, parameters.maxThreshold, parameters.thresholdStep = 20, 235, 10
-    return cv2.SimpleBlobDetector_create(parameters)
+    return cv2.SimpleBlobDetector_create(parameters)  # type: ignore[attr-defined]
 
 
 def _canonical(pixels: NDArray[np.float64], grid: tuple[int, int]) -> NDArray[np.float64]:
     """Board z away from the viewer, rows running to the right in the image."""
     columns, rows = grid
     lattice = pixels.reshape(rows, columns, 2)
-    right = np.gradient(lattice, axis=1).mean((0, 1))
-    down = np.gradient(lattice, axis=0).mean((0, 1))
+    right = np.diff(lattice, axis=1).mean((0, 1))
+    down = np.diff(lattice, axis=0).mean((0, 1))
     if right[0] * down[1] - right[1] * down[0] < 0.0:
         lattice = lattice[::-1]
     if right[0] < 0.0:

@@ -10,7 +10,7 @@ import numpy as np
 from thermal_stereo_vo.calibration.figures import StereoErrors
 from thermal_stereo_vo.calibration.result import CalibrationResult
 from thermal_stereo_vo.core.cameras import RigCalibration
-from thermal_stereo_vo.core.transforms import inverse, log_so3
+from thermal_stereo_vo.core.transforms import exp_so3, inverse, log_so3
 
 _LENS_ROWS = ("fx", "fy", "u0", "v0", "k1", "k2", "p1", "p2", "k3")
 
@@ -36,8 +36,9 @@ def column_of_result(name: str, result: CalibrationResult) -> Column:
     """Our own calibration; stereo figures are the held-out ones where there are any."""
     lenses, sigmas = {}, {}
     for role, camera in result.cameras.items():
-        values, sigma = camera.parameters, dict(
-            zip(camera.lens.names, camera.sigma.tolist(), strict=True)
+        values, sigma = (
+            camera.parameters,
+            dict(zip(camera.lens.names, camera.sigma.tolist(), strict=True)),
         )
         order = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
         lenses[role] = tuple(values.get(n, 0.0) for n in order)
@@ -113,6 +114,26 @@ def tables(columns: Sequence[Column]) -> list[tuple[str, list[str], list[list[st
         ]
         found.append(("Epipolar errors (P1 Table III) and what they are blind to", head, rows))
     return found
+
+
+def truth_lines(result: CalibrationResult, truth: Column) -> list[str]:
+    """How far a calibration is from the true one."""
+    lines = []
+    for role, camera in result.cameras.items():
+        c, true = camera.camera, truth.lenses[role]
+        lines.append(
+            f"against the truth, {role}: fx {100 * (c.fx / true[0] - 1):+.3f} %, fy "
+            f"{100 * (c.fy / true[1] - 1):+.3f} %, centre {c.cx - true[2]:+.3f}, "
+            f"{c.cy - true[3]:+.3f} px"
+        )
+    if result.pair is not None and truth.translation_mm is not None:
+        true_mm = float(np.linalg.norm(truth.translation_mm))
+        turn = result.pair.T_second_first[:3, :3] @ exp_so3(truth.rotation_vector_rad or ()).T
+        lines.append(
+            f"against the truth: baseline {1e3 * result.pair.baseline_m - true_mm:+.4f} mm, "
+            f"rotation {1e3 * float(np.linalg.norm(log_so3(turn))):.3f} mrad"
+        )
+    return lines
 
 
 def as_text(columns: Sequence[Column]) -> str:

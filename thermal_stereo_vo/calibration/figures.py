@@ -94,9 +94,7 @@ def pixel_errors(residuals: Sequence[Array]) -> PixelErrors:
 def fundamental(first: Camera, second: Camera, T_second_first: Array) -> Array:
     """(3, 3) F with x_second' F x_first = 0 for undistorted homogeneous pixels."""
     R, t = T_second_first[:3, :3], T_second_first[:3, 3]
-    return np.asarray(
-        np.linalg.inv(second.matrix).T @ skew(t) @ R @ np.linalg.inv(first.matrix)
-    )
+    return np.asarray(np.linalg.inv(second.matrix).T @ skew(t) @ R @ np.linalg.inv(first.matrix))
 
 
 def undistorted(camera: Camera, pixels: Array) -> Array:
@@ -168,7 +166,7 @@ def stereo_errors(
         z, z_alone = float(points[:, 2].mean()), float(alone[:, 2].mean())
         apart.append((z, z / z_alone - 1.0))
     z, relative = np.array(apart).T
-    ratio, length = np.array(ratios), np.array(nominal)
+    ratio, lengths = np.array(ratios), np.array(nominal)
     scale = float(ratio.mean())
     baseline_m = float(np.linalg.norm(T_second_first[:3, 3]))
     # dz / z = z yaw / baseline: the slope through the origin of the relative error over z.
@@ -177,7 +175,7 @@ def stereo_errors(
         epipolar_12_px=float(np.concatenate(e12).mean()),
         epipolar_21_px=float(np.concatenate(e21).mean()),
         spacing_error_percent=100.0 * (scale - 1.0),
-        spacing_rms_m=float(np.sqrt(np.mean(((ratio - scale) * length) ** 2))),
+        spacing_rms_m=float(np.sqrt(np.mean(((ratio - scale) * lengths) ** 2))),
         plane_rms_m=float(np.sqrt(np.mean(np.square(planes)))),
         distance_error_percent=100.0 * float(relative.mean()),
         yaw_error_rad=yaw_rad,

@@ -79,7 +79,8 @@ def gather(
             for role, size in seen_sizes.items():
                 if sizes.setdefault(role, size) != size:
                     raise CalibrationError(
-                        f"image {shot.name} of the {role} camera is {size[0]}x{size[1]} pixels, the "
+                        f"image {shot.name} of the {role} camera is {size[0]}x{size[1]} pixels, "
+                        "the "
                         f"ones before {sizes[role][0]}x{sizes[role][1]}: all images of a camera "
                         "must have one size"
                     )
@@ -93,11 +94,11 @@ def gather(
                 refused.append(ViewRecord(shot.name, "refused", reason))
             step()
     gathered = Gathered(tuple(shots), tuple(refused), sizes, detections)
-    found = [d for d in detections.values() if d.found]
-    if found and sum(d.beyond for d in found) > 0.5 * len(found):
+    boards = [d for d in detections.values() if d.found]
+    if boards and sum(d.beyond for d in boards) > 0.5 * len(boards):
         raise CalibrationError(
             f"the board goes on beyond the {target.columns}x{target.rows} inner corners of --board "
-            f"in {sum(d.beyond for d in found)} of {len(found)} views: count the inner corners "
+            f"in {sum(d.beyond for d in boards)} of {len(boards)} views: count the inner corners "
             "(squares less one) along both sides again"
         )
     for role in roles:

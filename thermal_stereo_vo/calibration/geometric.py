@@ -273,7 +273,9 @@ def _agreed(
     return place, turned
 
 
-def _view_rms(solution: Solution, observations: Sequence[Observation]) -> dict[tuple[int, int], float]:
+def _view_rms(
+    solution: Solution, observations: Sequence[Observation]
+) -> dict[tuple[int, int], float]:
     """(view, camera) -> RMS norm, px."""
     return {
         (o.view, o.camera): float(np.sqrt(np.mean(np.sum(r**2, axis=1))))
@@ -337,7 +339,7 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
 
 
 def _decentred(solution: Solution) -> bool:
-    """Wald's test at 1 %: do p1 and p2 of a single camera differ from zero?"""
+    """Whether p1 and p2 of a single camera differ from zero (Wald's test at 1 %)."""
     tangential = solution.rig.parameters[0][6:8]
     covariance = _honest_covariance(solution)[6:8, 6:8]
     return bool(tangential @ scaled_inverse(covariance) @ tangential > _CHI2_TWO)
@@ -481,9 +483,7 @@ def _records(
     records = dict(problem.records)
     inside = set(training)
     for v, shot in enumerate(problem.shots):
-        errors = {
-            role: rms[v, c] for c, role in enumerate(problem.roles) if (v, c) in rms
-        }
+        errors = {role: rms[v, c] for c, role in enumerate(problem.roles) if (v, c) in rms}
         old = records.get(shot.name)
         if old is not None:
             records[shot.name] = replace(old, rms_px={**old.rms_px, **errors})
@@ -520,9 +520,7 @@ def _held_out(
         for k in range(count):
             out = list(training[k::count])
             rest = [v for v in training if v not in out]
-            if any(
-                sum(role in problem.shots[v].views for v in rest) < 3 for role in problem.roles
-            ):
+            if any(sum(role in problem.shots[v].views for v in rest) < 3 for role in problem.roles):
                 continue
             if len(problem.roles) == 2 and sum(v in pairs for v in rest) < 2:
                 continue

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.frames import Image, RawFrame
 from thermal_stereo_vo.datasets.image_files import list_images, read_grey
@@ -57,7 +58,8 @@ def image_shots(source: Source, roles: Sequence[str]) -> list[ImageShot]:
         return _thinned(_paired_files(dict(zip(roles, source.paths, strict=True))), source.limit)
     if len(source.paths) != 1:
         raise DatasetError(
-            f"{len(source.paths)} sources given for {len(roles)} cameras: give one recording, or one "
+            f"{len(source.paths)} sources given for {len(roles)} cameras: give one recording, or "
+            "one "
             "folder of images a camera"
         )
     (text,) = source.paths
@@ -70,13 +72,21 @@ def image_shots(source: Source, roles: Sequence[str]) -> list[ImageShot]:
             )
         return _thinned(_paired_files({roles[0]: text}), source.limit)
     if path.is_dir() and all((path / role).is_dir() for role in roles):
-        return _thinned(
-            _paired_files({role: str(path / role) for role in roles}), source.limit
-        )
+        return _thinned(_paired_files({role: str(path / role) for role in roles}), source.limit)
     if path.is_dir() and any((path / role).is_dir() for role in roles) and len(roles) > 1:
         missing = ", ".join(role for role in roles if not (path / role).is_dir())
         raise DatasetError(f"{path} has images of one camera only: {path / missing} is missing")
     return _recorded(source, roles)
+
+
+def simulated_truth(source: Source) -> RigCalibration | None:
+    """The true calibration of a simulated source, None for a real one."""
+    from thermal_stereo_vo.datasets.options import SourceOptions
+    from thermal_stereo_vo.datasets.registry import SIMULATED, open_dataset
+
+    if len(source.paths) != 1 or not source.paths[0].startswith(SIMULATED):
+        return None
+    return open_dataset(source.paths[0], SourceOptions(seed=source.seed))[0].calibration()
 
 
 def _is_pattern(text: str) -> bool:
@@ -117,7 +127,8 @@ def _paired_files(places: Mapping[str, str]) -> list[ImageShot]:
     if len(places) > 1 and not any(len(found) > 1 for found in by_key.values()):
         told = " and ".join(f"{text}" for text in places.values())
         raise DatasetError(
-            f"no image of {told} belongs to another: files pair by the digits in their names, as in "
+            f"no image of {told} belongs to another: files pair by the digits in their names, as "
+            "in "
             "left07.png and right07.png"
         )
     return [
@@ -162,8 +173,8 @@ def _open(source: Source, roles: Sequence[str]) -> tuple[Iterator[RawFrame], int
     """Frames named by role, and how many instants there are."""
     text = source.paths[0]
     path = Path(text)
-    from thermal_stereo_vo.datasets.registry import BAG_SUFFIXES, SIMULATED, open_dataset
     from thermal_stereo_vo.datasets.options import SourceOptions
+    from thermal_stereo_vo.datasets.registry import BAG_SUFFIXES, SIMULATED, open_dataset
 
     is_bag = path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
     is_bag |= path.is_dir() and any(p.suffix in BAG_SUFFIXES for p in path.iterdir())
@@ -200,7 +211,8 @@ def _open_bag(
         named = [t for t in counts if roles[0] in t] or list(counts)
         if len(named) > 1:
             raise DatasetError(
-                f"the bag {path} has several image topics ({', '.join(sorted(counts))}): choose one "
+                f"the bag {path} has several image topics ({', '.join(sorted(counts))}): choose "
+                "one "
                 "with --topics"
             )
         chosen = {roles[0]: named[0]}
@@ -233,7 +245,7 @@ def _open_bag(
 def _instants(
     frames: Iterator[RawFrame], roles: Sequence[str], tolerance_ms: float
 ) -> Iterator[dict[str, RawFrame]]:
-    """role -> frame of one instant; one camera alone where the other has none."""
+    """Role -> frame of one instant; one camera alone where the other has none."""
     if len(roles) == 1:
         for frame in frames:
             yield {roles[0]: frame}
@@ -261,9 +273,7 @@ class _Instant:
     motion: float
 
 
-def _stretches(
-    instants: Iterator[dict[str, RawFrame]], length: int
-) -> Iterator[list[_Instant]]:
+def _stretches(instants: Iterator[dict[str, RawFrame]], length: int) -> Iterator[list[_Instant]]:
     """Stretches of ``length`` instants; frames that repeat the one before are left out.
 
     A camera repeats its last image during a flat-field correction: it looks still and is not.

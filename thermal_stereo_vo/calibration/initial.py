@@ -103,14 +103,15 @@ def half_turn(view: BoardView, target: Target) -> BoardView:
 
 
 def has_half_turn(target: Target) -> bool:
-    """Whether half a turn of the board goes unnoticed (in thermal images, where shades may swap)."""
+    """Whether half a turn of the board goes unnoticed, as shades may swap in thermal images."""
     return target.kind in (TargetKind.CHESSBOARD, TargetKind.CIRCLES)
 
 
 def agreed_place(samples: Mapping[int, Sequence[Array]]) -> tuple[Array, dict[int, int]]:
     """The place most shots agree on, and which sample of each shot is nearest to it.
 
-    ``samples`` holds for each shot (by its index) the (4, 4) T_second_first under each numbering of the board.
+    ``samples`` holds for each shot (by its index) the (4, 4) T_second_first under each numbering of
+    the board.
     """
     flat = [(name, k, T) for name, options in samples.items() for k, T in enumerate(options)]
     best, T_best = np.inf, flat[0][2]

@@ -143,7 +143,7 @@ def _quadrilateral(contour: NDArray[np.int32], area: float) -> Array | None:
     if area < 0.8 * cv2.contourArea(hull) or area < 0.75 * cv2.contourArea(polygon):
         return None
     (ax, ay), (bx, by) = quad[1] - quad[0], quad[2] - quad[1]
-    return quad if ax * by - ay * bx > 0.0 else quad[::-1].copy()
+    return np.asarray(quad if ax * by - ay * bx > 0.0 else quad[::-1].copy())
 
 
 def _lattice(holes: Holes, target: Target) -> HoleLattice | None:
@@ -212,8 +212,12 @@ def _marks(image: NDArray[Any], holes: Holes, lattice: HoleLattice) -> Holes:
 
     centres = lattice.corners.mean(1)
     # Half a pitch beyond the middle of a side lies the mask itself.
-    gaps = np.concatenate([2.0 * (c[[0, 1]].mean(0, keepdims=True)) - m[None]
-                           for c, m in zip(lattice.corners, centres, strict=True)])
+    gaps = np.concatenate(
+        [
+            2.0 * (c[[0, 1]].mean(0, keepdims=True)) - m[None]
+            for c, m in zip(lattice.corners, centres, strict=True)
+        ]
+    )
     inside, mask = float(np.median(at(centres))), float(np.median(at(gaps)))
     step = inside - mask
     if len(holes.blobs) == 0 or step == 0.0:

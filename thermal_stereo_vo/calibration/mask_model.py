@@ -42,7 +42,9 @@ def prior_sigma_m(target: Target) -> Array:
     return np.array([0.1, 0.25]) * target.spacing_m
 
 
-def seen_corners(points_m: Array, sides: Array, board: Array, camera_m: Array) -> tuple[Array, Array]:
+def seen_corners(
+    points_m: Array, sides: Array, board: Array, camera_m: Array
+) -> tuple[Array, Array]:
     """Hole corners (K, 3) as seen on the front plane from ``camera_m`` (3,), in board axes.
 
     ``board`` holds widening and depth in m.  A side whose wall faces the camera is seen at the

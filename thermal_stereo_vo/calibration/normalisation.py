@@ -18,7 +18,7 @@ def stretch(image: NDArray[Any]) -> NDArray[np.uint8]:
     counts = image.astype(np.float32)
     low, high = np.percentile(counts, (0.5, 99.5))
     scaled = (counts - low) * np.float32(255.0 / max(high - low, 1e-6))
-    return np.clip(scaled, 0.0, 255.0).astype(np.uint8)
+    return np.asarray(np.clip(scaled, 0.0, 255.0), np.uint8)
 
 
 def local_normalisation(image: NDArray[Any], sigma_px: float) -> NDArray[np.uint8]:
@@ -33,7 +33,7 @@ def local_normalisation(image: NDArray[Any], sigma_px: float) -> NDArray[np.uint
     variance = cv2.GaussianBlur(residual * residual, (0, 0), sigma_px)
     floor = max(float(np.median(variance)) * 1e-3, (0.5 * noise_counts(image)) ** 2, 1e-6)
     normalised = residual / np.sqrt(variance + np.float32(floor))
-    return np.clip(128.0 + 51.0 * normalised, 0.0, 255.0).astype(np.uint8)
+    return np.asarray(np.clip(128.0 + 51.0 * normalised, 0.0, 255.0), np.uint8)
 
 
 def noise_counts(image: NDArray[Any]) -> float:

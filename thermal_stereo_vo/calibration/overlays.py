@@ -70,4 +70,6 @@ def _write(picture: NDArray[np.uint8], text: str) -> None:
     picture[max(top, 0) :] //= 3
     for k, line in enumerate(lines):
         at = (6, top + 18 * (k + 1) - 2)
-        cv2.putText(picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
+        cv2.putText(
+            picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA
+        )

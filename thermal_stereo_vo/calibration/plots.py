@@ -24,7 +24,9 @@ _ARROW_GAIN = 100.0
 def coverage_picture(result: CalibrationResult) -> bytes:
     """Where the board was seen: all points, and the cells that stayed empty."""
     figure = _figure(len(result.cameras), 3.6)
-    for axes, (role, camera) in zip(_row(figure, len(result.cameras)), result.cameras.items(), strict=True):
+    for axes, (role, camera) in zip(
+        _row(figure, len(result.cameras)), result.cameras.items(), strict=True
+    ):
         width, height = camera.camera.size
         rows, columns = camera.coverage.shape
         for j, i in np.argwhere(~camera.coverage):
@@ -66,7 +68,9 @@ def residual_picture(result: CalibrationResult) -> bytes:
         limit = max(1.3 * largest, 0.1)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), xlabel="x [px]", ylabel="y [px]")
         axes.set_aspect("equal")
-        axes.set_title(f"{role}: mean {camera.training.mean_px:.3f}, rms {camera.training.rms_px:.3f} px")
+        axes.set_title(
+            f"{role}: mean {camera.training.mean_px:.3f}, rms {camera.training.rms_px:.3f} px"
+        )
     return _png(figure)
 
 
@@ -81,16 +85,16 @@ def view_picture(result: CalibrationResult) -> bytes:
         heights = [view.rms_px.get(role, 0.0) for view in shown]
         at = np.arange(len(shown)) + (k - 0.5 * (len(roles) - 1)) * bar
         axes.bar(at, heights, bar, color=colour, label=role)
-    axes.set_xticks(range(len(shown)), [_short(view.name) for view in shown], rotation=90, fontsize=7)
+    axes.set_xticks(
+        range(len(shown)), [_short(view.name) for view in shown], rotation=90, fontsize=7
+    )
     axes.set_ylabel("rms [px]")
     axes.legend(frameon=False)
     axes.set_title("Reprojection error of each view")
     return _png(figure)
 
 
-def rectified_picture(
-    calibration: RigCalibration, images: dict[str, NDArray[Any]]
-) -> bytes:
+def rectified_picture(calibration: RigCalibration, images: dict[str, NDArray[Any]]) -> bytes:
     """Both eyes rectified, side by side with lines: the same point must lie on the same line."""
     from thermal_stereo_vo.core.cameras import LEFT, RIGHT
     from thermal_stereo_vo.core.frames import RadiometricFrame

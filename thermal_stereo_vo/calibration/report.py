@@ -36,8 +36,7 @@ def html_report(
         f"<h1>{html.escape(title)}</h1>",
         f"<p>Board {html.escape(result.board)}. {html.escape(board_note)}</p>",
     ]
-    for warning in result.warnings:
-        parts.append(f"<p class='warning'>{html.escape(warning)}</p>")
+    parts += [f"<p class='warning'>{html.escape(text)}</p>" for text in result.warnings]
     if not result.warnings:
         parts.append("<p>Nothing to object to: enough views, well spread, lenses well known.</p>")
     parts.append(_figures(result))
@@ -77,9 +76,11 @@ def figure_lines(result: CalibrationResult) -> list[str]:
         errors = pair.held_out or pair.training
         how = f"held out ({pair.held_out_how})" if pair.held_out is not None else "training views"
         lines.append(
-            f"epipolar error 1-2 {errors.epipolar_12_px:.3f} px, 2-1 {errors.epipolar_21_px:.3f} px; "
+            f"epipolar error 1-2 {errors.epipolar_12_px:.3f} px, 2-1 {errors.epipolar_21_px:.3f} "
+            "px; "
             f"corner spacing {errors.spacing_error_percent:+.3f} %, board distance "
-            f"{errors.distance_error_percent:+.3f} %, relative yaw {1e3 * errors.yaw_error_rad:+.3f} "
+            f"{errors.distance_error_percent:+.3f} %, relative yaw "
+            f"{1e3 * errors.yaw_error_rad:+.3f} "
             f"mrad; {how}"
         )
     return lines

@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 class CameraResult:
     """One camera: its lens, the covariance of its parameters, and how well it fits.
 
-    ``covariance`` (P, P) has the order of ``lens.names``.  ``held_out`` is measured on views that took no part;
+    ``covariance`` (P, P) has the order of ``lens.names``.  ``held_out`` is measured on views that
+    took no part;
     None where there were too few.
     """
 

@@ -17,10 +17,16 @@ from thermal_stereo_vo.calibration.comparison import (
     as_text,
     column_of_calibration,
     column_of_result,
+    truth_lines,
 )
 from thermal_stereo_vo.calibration.gathering import Gathered, gather
 from thermal_stereo_vo.calibration.geometric import KnownLens, Settings, calibrate, pair_views
-from thermal_stereo_vo.calibration.image_sources import ImageShot, Source, image_shots
+from thermal_stereo_vo.calibration.image_sources import (
+    ImageShot,
+    Source,
+    image_shots,
+    simulated_truth,
+)
 from thermal_stereo_vo.calibration.lenses import Lens
 from thermal_stereo_vo.calibration.report import figure_lines, html_report
 from thermal_stereo_vo.calibration.result import CalibrationResult
@@ -80,6 +86,7 @@ def calibrate_and_report(
     """
     known = _known_lenses(request)
     other = None if request.compare is None else load_calibration(request.compare)
+    truth = simulated_truth(request.source)
     with RunFolder(request.output) as folder:
         gathered = gather(
             images, request.target, request.roles, overlays=folder.path / OVERLAYS, step=step
@@ -104,10 +111,15 @@ def calibrate_and_report(
         columns = [column_of_result("this", result)]
         if other is not None:
             columns.append(_other_column(request, gathered, other, say))
+        if truth is not None and set(request.roles) <= set(truth.cameras):
+            columns.append(column_of_calibration("truth", truth, request.roles, None))
         rig = result.rig_calibration(f"calibration from {' '.join(request.source.paths)}")
         _write(request, folder, result, columns, rig, images)
     for line in (*figure_lines(result), "", as_text(columns)):
         say(line)
+    if columns[-1].name == "truth":
+        for line in truth_lines(result, columns[-1]):
+            say(line)
     for warning in result.warnings:
         say(f"warning: {warning}")
     say(f"written to {request.output}: {PAGE_FILE}, {REPORT_FILE}, rig.yaml and camera_info")
@@ -135,7 +147,8 @@ def verify_and_tell(
     for role in roles:
         if gathered.sizes[role] != calibration[role].camera.size:
             raise CalibrationError(
-                f"the images of the {role} camera are {gathered.sizes[role]} pixels, the calibration "
+                f"the images of the {role} camera are {gathered.sizes[role]} pixels, the "
+                "calibration "
                 f"is for {calibration[role].camera.size}"
             )
     views = _same_ends(gathered, calibration, roles, target)
@@ -204,15 +217,14 @@ def _tell_views(
 
 def _missing(gathered: Gathered, roles: Sequence[str]) -> list[str]:
     return [
-        f"{role}: the board was found in {gathered.found(role)} of {gathered.seen(role)} images only"
+        f"{role}: the board was found in {gathered.found(role)} of {gathered.seen(role)} images "
+        "only"
         for role in roles
         if gathered.found(role) < 0.5 * gathered.seen(role)
     ]
 
 
-def _other_column(
-    request: Request, gathered: Gathered, other: RigCalibration, say: Say
-) -> Column:
+def _other_column(request: Request, gathered: Gathered, other: RigCalibration, say: Say) -> Column:
     assert request.compare is not None
     stereo = None
     if len(request.roles) == 2:

@@ -38,7 +38,8 @@ def select_views(
 ) -> Selection:
     """Choose at most ``limit`` of the views.
 
-    ``known`` is prior knowledge.  ``cells`` tells which cells of the coverage maps (all cameras, flattened) a view touches.
+    ``known`` is prior knowledge.  ``cells`` tells which cells of the coverage maps (all cameras,
+    flattened) a view touches.
     """
     views = sorted(information)
     everything = np.any([cells[v] for v in views], axis=0)
@@ -83,10 +84,7 @@ def jackknife_covariance(
     hessian = known.hessian + sum(information[v].hessian for v in views)
     gradient = known.gradient + sum(information[v].gradient for v in views)
     steps = np.array(
-        [
-            _step(hessian - information[v].hessian, gradient - information[v].gradient)
-            for v in views
-        ]
+        [_step(hessian - information[v].hessian, gradient - information[v].gradient) for v in views]
     )
     centred = steps - steps.mean(0)
     count = len(views)
@@ -133,7 +131,7 @@ class _Sum:
 def _rms(views: _Sum, step: Array) -> float:
     """RMS norm of the residuals (px) of ``views`` after a step of the shared parameters."""
     cost = views.cost - 2.0 * views.gradient @ step + step @ views.hessian @ step
-    return float(np.sqrt(max(cost, 0.0) / max(views.points, 1)))
+    return float(np.sqrt(max(float(cost), 0.0) / max(views.points, 1)))
 
 
 def _step(hessian: Array, gradient: Array) -> Array:

@@ -138,9 +138,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     else:
         roles, topics, baseline_m = (args.role,), (args.topic,) if args.topic else (), None
     request = session.Request(
-        source=Source(
-            tuple(args.source), topics, args.max_images, args.tolerance_ms, args.seed
-        ),
+        source=Source(tuple(args.source), topics, args.max_images, args.tolerance_ms, args.seed),
         target=_target(args.board),
         roles=roles,
         output=args.output,

@@ -71,15 +71,16 @@ def backward_flow(
 def smear(
     image: NDArray[np.float32],
     flow_px: NDArray[np.float32],
+    few: NDArray[np.float64],
     delays: NDArray[np.float64],
     out: NDArray[np.float32],
 ) -> None:
     """Mean of the image moved along its flow for each of the ``delays`` (in units of the flow).
 
     ``flow_px`` (H, W, 2) is where things came from; pixels beyond the border repeat the border.
+    Where the flow is less than a pixel the ``few`` delays are enough.
     """
     height, width = image.shape
-    count = len(delays)
     for y in range(height):
         for x in range(width):
             fx = flow_px[y, x, 0]
@@ -88,10 +89,11 @@ def smear(
                 out[y, x] = image[y, x]
                 continue
             # What was in this pixel a delay ago has moved on, against the backward flow.
+            chosen = delays if fx * fx + fy * fy > 1.0 else few
             total = 0.0
-            for n in range(count):
-                px = min(max(x - delays[n] * fx, 0.0), width - 1.001)
-                py = min(max(y - delays[n] * fy, 0.0), height - 1.001)
+            for delay in chosen:
+                px = min(max(x - delay * fx, 0.0), width - 1.001)
+                py = min(max(y - delay * fy, 0.0), height - 1.001)
                 j = int(px)
                 i = int(py)
                 u = px - j
@@ -99,4 +101,4 @@ def smear(
                 total += (1.0 - v) * ((1.0 - u) * image[i, j] + u * image[i, j + 1]) + v * (
                     (1.0 - u) * image[i + 1, j] + u * image[i + 1, j + 1]
                 )
-            out[y, x] = total / count
+            out[y, x] = total / len(chosen)

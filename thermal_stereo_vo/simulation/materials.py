@@ -178,7 +178,7 @@ SUBSTANCES: dict[Material, Substance] = {
     ),
     Material.FOLIAGE: Substance(
         0.97, 8.0, 0.3, 1.5,
-        heat=Texture(0.9, 0.6, 5, 0.9), albedo=0.14, paint=Texture(0.4, 0.5, 5, 0.85),
+        heat=Texture(0.9, 0.5, 2, 0.9), albedo=0.14, paint=Texture(0.4, 0.5, 5, 0.85),
     ),
     Material.BARK: Substance(
         0.95, 8.0, 1.0, 0.5,

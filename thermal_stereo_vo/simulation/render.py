@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from thermal_stereo_vo.simulation.shading import Band, Light
 Poses = Callable[[float], NDArray[np.float64]]
 """Time (s) -> (4, 4) T_map_camera."""
 
-_SLENDER_LIMITS_PX = (0.2, 1.2, 2.6)
+_SLENDER_LIMITS_PX = (0.2, 1.0, 2.1)
 _FARTHEST_MOVER_M = 200.0
 
 
@@ -30,7 +31,8 @@ class Lens:
     """The rays of a camera, through its distortion.
 
     ``grid`` (points, 2) and ``centres`` (H, W, 2) float32: x and y on the plane z = 1, see
-    ``sampling``.  ``inner_rays`` resolve a pixel that shows an edge.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
+    ``sampling``.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
+    ``inner_rays`` resolve a pixel that shows an edge.
     """
 
     def __init__(self, camera: Camera, inner_rays: int = 2) -> None:
@@ -79,6 +81,13 @@ class Rendering:
     owner: NDArray[np.int32]
 
 
+class _Moving(NamedTuple):
+    """Movers in view: their ray-casting tree, and the number of each triangle among all movers."""
+
+    caster: RayCaster
+    triangles: NDArray[np.int32]
+
+
 class Renderer:
     """Renders one scene.  Keeps scratch memory: one thread at a time."""
 
@@ -102,6 +111,7 @@ class Renderer:
             np.tile(np.eye(4), (max(1, len(scene.movers)), 1, 1)),
         )
         self._rest_normals = self._facets.normals[count:].copy()
+        self._mover_starts = np.cumsum([0, *(len(m.mesh) for m in scene.movers)])
         self._hits: dict[int, Hits] = {}
         self._samples: dict[int, Samples] = {}
         self._spheres = [_bounding_sphere(m.mesh) for m in scene.movers]
@@ -113,8 +123,9 @@ class Renderer:
         height, width = lens.centres.shape[:2]
         T_map_camera = poses(time_s)
         rays = _rays(lens, poses, time_s, row_time_s)
-        movers, moving = self._place_movers(time_s)
-        boxes = self._moving_boxes(lens.camera, T_map_camera, movers)
+        movers = self.T_map_movers(time_s)
+        boxes, seen = self._moving_boxes(lens.camera, T_map_camera, movers)
+        moving = self._place_movers(movers, seen)
         thin = self._slender(lens.camera, T_map_camera)
         for x0, y0, x1, y1 in boxes:
             part = thin[y0 // 2 : y1 // 2 + 1, x0 // 2 : x1 // 2 + 1]
@@ -169,6 +180,7 @@ class Renderer:
             self._hits[points] = Hits(
                 np.empty(points, np.int32),
                 np.empty(points, np.int32),
+                np.empty(points, np.int32),
                 np.empty(points, np.float32),
                 np.empty(points, np.float32),
             )
@@ -187,27 +199,30 @@ class Renderer:
             )
         return self._samples[n]
 
-    def _place_movers(self, time_s: float) -> tuple[NDArray[np.float64], RayCaster | None]:
-        poses = self.T_map_movers(time_s)
-        if len(poses) == 0:
-            return poses, None
-        rotation = poses[self._facets.mover, :3, :3]
-        self._facets.normals[self._facets.first_moving :] = np.einsum(
-            "nij,nj->ni", rotation, self._rest_normals
-        )
-        vertices = [
-            mover.mesh.vertices @ T[:3, :3].T + T[:3, 3]
-            for mover, T in zip(self._scene.movers, poses, strict=True)
-        ]
-        self._facets.T_object_map[:] = [inverse(T) for T in poses]
-        return poses, RayCaster(np.concatenate(vertices).astype(np.float32))
+    def _place_movers(self, poses: NDArray[np.float64], seen: list[int]) -> _Moving | None:
+        """Put the movers in view where they are now."""
+        if not seen:
+            return None
+        vertices, triangles = [], []
+        for n in seen:
+            rotation, first = poses[n][:3, :3], self._mover_starts[n]
+            mesh = self._scene.movers[n].mesh
+            vertices.append(mesh.vertices @ rotation.T + poses[n][:3, 3])
+            mine = slice(first, first + len(mesh))
+            self._facets.normals[self._facets.first_moving :][mine] = (
+                self._rest_normals[mine] @ rotation.T
+            )
+            self._facets.T_object_map[n] = inverse(poses[n])
+            triangles.append(np.arange(first, first + len(mesh), dtype=np.int32))
+        caster = RayCaster(np.concatenate(vertices).astype(np.float32))
+        return _Moving(caster, np.concatenate(triangles))
 
     def _cast(
         self,
         hits: Hits,
         rays: Rays,
         points: NDArray[np.int32],
-        moving: RayCaster | None,
+        moving: _Moving | None,
         boxes: NDArray[np.int64],
     ) -> None:
         origins = np.empty((len(points), 3), np.float32)
@@ -221,25 +236,28 @@ class Renderer:
             return
         inside = sampling.points_in_boxes(points, *rays.centres.shape[:2], boxes)
         if np.any(inside):
-            met = moving.cast(origins[inside], directions[inside])
+            met = moving.caster.cast(origins[inside], directions[inside])
+            # Number them among all movers, not only those in view.
+            numbers = np.where(met.triangle >= 0, moving.triangles[met.triangle], -1)
             first = self._facets.first_moving
             sampling.store_hits(
-                hits, self._facets, points[inside], met.triangle, first, met.u, met.v,
+                hits, self._facets, points[inside], numbers, first, met.u, met.v,
                 met.distance, True,
             )  # fmt: skip
 
     def _moving_boxes(
         self, camera: Camera, T_map_camera: NDArray[np.float64], movers: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
-        """(N, 4) pixels x0, y0, x1, y1 that hold each mover in view."""
-        boxes = []
+    ) -> tuple[NDArray[np.int64], list[int]]:
+        """(N, 4) pixels x0, y0, x1, y1 that hold each mover in view, and which those are."""
+        boxes, seen = [], []
         T_camera_map = inverse(T_map_camera)
-        for T, (centre, radius) in zip(movers, self._spheres, strict=True):
+        for n, (T, (centre, radius)) in enumerate(zip(movers, self._spheres, strict=True)):
             p = T_camera_map[:3, :3] @ (T[:3, :3] @ centre + T[:3, 3]) + T_camera_map[:3, 3]
             if p[2] < -radius or np.linalg.norm(p) > _FARTHEST_MOVER_M:
                 continue
             if p[2] < 1.5 * radius:
                 boxes.append((0, 0, camera.width - 1, camera.height - 1))
+                seen.append(n)
                 continue
             # Barrel distortion only draws points towards the middle, so the pinhole is an outer
             # bound of the far side; a margin covers the near one.
@@ -249,7 +267,8 @@ class Renderer:
             x1, y1 = min(camera.width - 1, int(x + reach)), min(camera.height - 1, int(y + reach))
             if x0 <= x1 and y0 <= y1:
                 boxes.append((x0, y0, x1, y1))
-        return np.array(boxes, dtype=np.int64).reshape(-1, 4)
+                seen.append(n)
+        return np.array(boxes, dtype=np.int64).reshape(-1, 4), seen
 
     def _slender(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> NDArray[np.uint8]:
         """(H / 2, W / 2): levels that slender parts ask for."""

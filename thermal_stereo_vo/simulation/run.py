@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.simulation.trajectory import Motion
 
 _ZERO_CELSIUS_KELVIN = 273.15
-PICTURE_VERSION = 3
+PICTURE_VERSION = 4
 """Raised whenever the same settings give other pictures, so that old caches are refused."""
 
 _IN_PICTURE = (

@@ -1,8 +1,8 @@
 """Which rays a picture needs, and how their hits become pixels.
 
 First the corners of blocks of 2x2 pixels are cast; where they disagree about the surface, or
-something slender passes, the corners of the pixels; where those disagree, some rays inside the pixel
-as well.  Band-limited textures need no more inside one surface.
+something slender passes, the corners of the pixels; where those disagree, some rays inside the
+pixel as well, unless all show leaves.  Band-limited textures need no more inside one surface.
 
 Grid points are numbered: first the (H + 1)(W + 1) pixel corners row by row, corner (0, 0) lying at
 pixel (-0.5, -0.5); then one inner ray of each of the H W pixels, then the next, and so on.
@@ -16,13 +16,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from thermal_stereo_vo.simulation.materials import Material
 from thermal_stereo_vo.simulation.shading import Band, Light, shade, sky_radiance
 
 NOT_CAST = -2
 SKY = -1
 
-SIMPLE, CORNERS, DETAILED = 0, 1, 2
-"""How a pixel is resolved: from the corners of its block, from its own, from those and two more."""
+SIMPLE, CORNERS, MIXED, DETAILED = 0, 1, 2, 3
+"""How a pixel is resolved: as one surface from the corners of its block or from its own, as several
+from its own corners (leaves before leaves), or from those and its inner rays."""
 
 
 def inner_rays_px(count: int) -> NDArray[np.float64]:
@@ -36,6 +38,9 @@ def inner_rays_px(count: int) -> NDArray[np.float64]:
     n = np.arange(1, count // 2 + 1)
     half = np.column_stack([n * 0.7548776662466927, n * 0.5698402909980532]) % 1.0 - 0.5
     return np.concatenate([half, -half, np.zeros((count % 2, 2))])
+
+
+_FOLIAGE, _HEDGE = int(Material.FOLIAGE), int(Material.HEDGE)
 
 
 class Facets(NamedTuple):
@@ -57,12 +62,14 @@ class Facets(NamedTuple):
 class Hits(NamedTuple):
     """What the rays met, one entry for each grid point.
 
-    ``triangle`` int32 (NOT_CAST, SKY or an index), ``surface`` int32 (SKY or that of the triangle),
-    ``depth`` float32 along the optical axis (inf for sky), ``offset_kelvin`` float32 at the point.
+    ``triangle`` int32 (NOT_CAST, SKY or an index), ``surface`` and ``material`` int32 (SKY or those
+    of the triangle), ``depth`` float32 along the optical axis (inf for sky), ``offset_kelvin``
+    float32 at the point.
     """
 
     triangle: NDArray[np.int32]
     surface: NDArray[np.int32]
+    material: NDArray[np.int32]
     depth: NDArray[np.float32]
     offset_kelvin: NDArray[np.float32]
 
@@ -150,6 +157,7 @@ def store_hits(
             if not nearest_only:
                 hits.triangle[p] = SKY
                 hits.surface[p] = SKY
+                hits.material[p] = SKY
                 hits.depth[p] = np.inf
             continue
         if nearest_only and depth[n] >= hits.depth[p]:
@@ -157,6 +165,7 @@ def store_hits(
         t += first
         hits.triangle[p] = t
         hits.surface[p] = facets.surface[t]
+        hits.material[p] = facets.material[t]
         hits.depth[p] = depth[n]
         w = 1.0 - u[n] - v[n]
         hits.offset_kelvin[p] = (
@@ -167,12 +176,10 @@ def store_hits(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _agree(surface: NDArray[np.int32], p: int, right: int, down: int) -> bool:
-    """Whether four corners, ``right`` and ``down`` from each other, show one surface."""
-    s = surface[p]
-    return bool(
-        s == surface[p + right] and s == surface[p + down] and s == surface[p + down + right]
-    )
+def _agree(labels: NDArray[np.int32], p: int, right: int, down: int) -> bool:
+    """Whether four corners, ``right`` and ``down`` from each other, bear one label."""
+    s = labels[p]
+    return bool(s == labels[p + right] and s == labels[p + down] and s == labels[p + down + right])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -196,13 +203,15 @@ def refine_blocks(hits: Hits, level: NDArray[np.uint8], thin: NDArray[np.uint8])
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def refine_pixels(hits: Hits, level: NDArray[np.uint8]) -> None:
-    """Raise pixels whose own corners disagree to DETAILED."""
+    """Raise pixels whose own corners disagree to DETAILED, or to MIXED among leaves."""
     height, width = level.shape
     for y in range(height):
         for x in range(width):
             p = y * (width + 1) + x
             if level[y, x] == CORNERS and not _agree(hits.surface, p, 1, width + 1):
-                level[y, x] = DETAILED
+                leafy = hits.material[p] == _FOLIAGE or hits.material[p] == _HEDGE
+                leaves = leafy and _agree(hits.material, p, 1, width + 1)
+                level[y, x] = MIXED if leaves else DETAILED
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -282,7 +291,7 @@ def gather_samples(
     for y in range(height):
         for x in range(width):
             pixel = y * width + x
-            if level[y, x] != DETAILED:
+            if level[y, x] < MIXED:
                 if level[y, x] == SIMPLE:
                     p = (y & ~1) * across + (x & ~1)
                     right, down = 2, 2 * across
@@ -317,10 +326,15 @@ def gather_samples(
             p = y * across + x
             points[0], points[1] = p, p + 1
             points[2], points[3] = p + across, p + across + 1
-            for n in range(inner):
-                points[4 + n] = (height + 1) * across + n * height * width + pixel
+            rays_here = 4
+            corner_weight = 0.25
+            if level[y, x] == DETAILED:
+                rays_here += inner
+                corner_weight = 0.5 * inner_weight
+                for n in range(inner):
+                    points[4 + n] = (height + 1) * across + n * height * width + pixel
             count = 0
-            for n in range(4 + inner):
+            for n in range(rays_here):
                 q = points[n]
                 s = hits.surface[q]
                 k = 0
@@ -336,7 +350,7 @@ def gather_samples(
                     samples.depth[m] = 0.0
                     samples.offset_kelvin[m] = 0.0
                     count += 1
-                w = 0.5 * inner_weight if n < 4 else inner_weight
+                w = corner_weight if n < 4 else inner_weight
                 samples.weight[m] += w
                 samples.plane[m, 0] += w * rays.grid[q, 0]
                 samples.plane[m, 1] += w * rays.grid[q, 1]

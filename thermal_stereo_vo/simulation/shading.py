@@ -40,6 +40,7 @@ _CELL_ALONG, _CELL_UP = int(Column.CELL_ALONG), int(Column.CELL_UP)
 _CELLS, _JOINTS = int(Column.CELLS), int(Column.JOINTS)
 
 _LINE_HALF_WIDTH_M = 0.015
+_CRACKS_SEEN_M = 20 * _LINE_HALF_WIDTH_M
 _CELLS_IN_LATTICE = LATTICE**2
 _SHADOW_BIAS_M = 0.12
 
@@ -48,14 +49,17 @@ class Band(NamedTuple):
     """How materials and sky look in one spectral band, as the kernels take it.
 
     ``table`` (materials, columns); ``lattice`` the noise; ``thermal`` chooses between radiance in
-    counts and reflected light; the rest is weather.
+    counts and reflected light; the rest is weather.  ``air`` and ``sky`` are the radiance of the
+    air
+    and the mean of the sky over the hemisphere.
     """
 
     thermal: bool
     table: NDArray[np.float64]
     lattice: NDArray[np.float32]
     planck_r: float
-    air_kelvin: float
+    air: float
+    sky: float
     sky_emissivity: float
     cloud_variation: float
     extinction_per_m: float
@@ -93,12 +97,14 @@ def thermal_band(
     weather: Weather, responsivity: Responsivity, lattice: NDArray[np.float32]
 ) -> Band:
     """8-14 um: radiance in counts of an ideal sensor without offset."""
-    return Band(
+    air = float(responsivity.counts(weather.air_kelvin))
+    band = Band(
         True,
         thermal_table(weather),
         lattice,
         responsivity.planck_r,
-        weather.air_kelvin,
+        air,
+        air,
         weather.sky_emissivity,
         weather.cloud_variation,
         weather.extinction_per_m,
@@ -107,6 +113,8 @@ def thermal_band(
         weather.sun,
         weather.sun_direction,
     )
+    # The mean over the hemisphere is close to the sky at 35 degrees.
+    return band._replace(sky=sky_radiance(band, 0.8191, 0.0, 0.5736, False))
 
 
 def visible_band(weather: Weather, lattice: NDArray[np.float32]) -> Band:
@@ -136,7 +144,7 @@ def texture(
     spacing = row[_SPACING]
     pa = a / spacing
     pb = b / spacing
-    if row[_CRACKS] != 0.0:
+    if row[_CRACKS] != 0.0 and across_m < _CRACKS_SEEN_M:
         n = value_noise(lattice, pa + 7.7, pb + 40.9)
         width = max(_LINE_HALF_WIDTH_M, across_m)
         distance = abs(n) * spacing / NOISE_SLOPE
@@ -236,7 +244,7 @@ def sky_radiance(band: Band, dx: float, dy: float, dz: float, clouds: bool) -> f
             x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
             amplitude *= 0.55
         emissivity += band.cloud_variation * n * (1.0 - emissivity) ** 0.5
-    return float(min(max(emissivity, 0.05), 1.0) * planck(band.planck_r, band.air_kelvin))
+    return float(min(max(emissivity, 0.05), 1.0) * band.air)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -367,18 +375,16 @@ def shade(
     kelvin += row[_SUN] * towards_sun + row[_DAYLIGHT] * up - row[_SKY] * up * up
     emissivity = row[_EMISSIVITY]
     radiance = emissivity * planck(band.planck_r, kelvin)
-    air = planck(band.planck_r, band.air_kelvin)
     if emissivity < 1.0:
         if row[_MIRROR] > 0.0:
             rx = dx - 2.0 * facing * nx
             ry = dy - 2.0 * facing * ny
             rz = dz - 2.0 * facing * nz
-            reflected = sky_radiance(band, rx, ry, rz, True) if rz > 0.0 else air
+            reflected = sky_radiance(band, rx, ry, rz, True) if rz > 0.0 else band.air
         else:
-            # Mean over the hemisphere: close to the sky at 35 degrees.
-            reflected = up * sky_radiance(band, 0.8191, 0.0, 0.5736, False) + (1.0 - up) * air
+            reflected = up * band.sky + (1.0 - up) * band.air
         radiance += (1.0 - emissivity) * reflected
     if band.extinction_per_m > 0.0:
         through = np.exp(-band.extinction_per_m * distance_m)
-        radiance = through * radiance + (1.0 - through) * air
+        radiance = through * radiance + (1.0 - through) * band.air
     return float(radiance)

@@ -70,12 +70,13 @@ class Studio:
         config = self._plan.config
         samples = config.render.lag_samples
         if role == VISIBLE:
-            memory_s, delays = self._exposure_s, uniform_delays(samples)
+            memory_s, spread = self._exposure_s, uniform_delays
             step = visible_camera.SIGNAL_STEP
         else:
             memory_s = config.thermal.time_constant_ms * 1e-3
-            delays = exponential_delays(samples)
+            spread = exponential_delays
             step = thermal_camera.SIGNAL_STEP
+        few, delays = spread(min(samples, 3)), spread(samples)
         sharp = self.render(role, time_s)
         radiance = sharp.radiance
         if config.render.lag == "rendered" and memory_s > 0.0:
@@ -84,7 +85,7 @@ class Studio:
                 total += self.render(role, time_s - delay * memory_s).radiance
             radiance = (total / samples).astype(np.float32)
         elif config.render.lag == "reprojected" and memory_s > 0.0:
-            radiance = self._smeared(role, sharp, time_s, memory_s, delays)
+            radiance = self._smeared(role, sharp, time_s, memory_s, few, delays)
         signal = np.rint(radiance / np.float32(step))
         return Picture(np.clip(signal, 0, 65535).astype(np.uint16), sharp)
 
@@ -97,6 +98,7 @@ class Studio:
         sharp: Rendering,
         time_s: float,
         memory_s: float,
+        few: NDArray[np.float64],
         delays: NDArray[np.float64],
     ) -> NDArray[np.float32]:
         poses = self._plan.camera_poses(role)
@@ -120,5 +122,5 @@ class Studio:
         if largest < 0.01:
             return sharp.radiance
         out = np.empty_like(sharp.radiance)
-        smear(sharp.radiance, flow, delays, out)
+        smear(sharp.radiance, flow, few, delays, out)
         return out

@@ -19,7 +19,8 @@ EYES = ("left", "right")
 def start(start_node, left, right):
     def run(**parameters):
         settings = {
-            "pairing__tolerance_ms": 16.7,
+            # Half a period, and the jitter of the driver's stamps.
+            "pairing__tolerance_ms": 25.0,
             "grabbers__recovery__longest_wait_s": 0.3,
             "grabbers__left__device": left.device,
             "grabbers__right__device": right.device,
@@ -72,8 +73,8 @@ def test_two_cameras_at_30_hz(start, eventually, pixel_format):
     for eye, height in zip(EYES, (480, 512), strict=True):
         messages = list(node.heard[f"{eye}/image_raw"])[5:]
         stamps = np.array(node.stamps(f"{eye}/image_raw")[5:])
-        rate_hz = (len(stamps) - 1) * 1e9 / (stamps[-1] - stamps[0])
-        assert rate_hz == pytest.approx(30.0, abs=0.6)
+        steps_ms = np.diff(stamps) * 1e-6
+        assert np.mean(steps_ms) == pytest.approx(1000 / 30, rel=0.02), node.said()
         image = conversions.image_from_msg(messages[-1])
         assert messages[-1].encoding == {"Y16": "mono16", "GREY": "mono8"}[pixel_format]
         assert image.shape == (height, 640)
