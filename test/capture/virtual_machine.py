@@ -15,11 +15,13 @@ the machine down but makes it lose no frame.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import lzma
 import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,6 +33,7 @@ CACHE = (
     Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "thermal_stereo_vo/guest-1"
 )
 TIMEOUT, UNAVAILABLE = 124, 77
+PR_SET_PDEATHSIG = 1
 FILE_SYSTEM = ("virtio_pci", "9pnet_virtio", "9p")
 # Two HDMI inputs, which a scaler brings to any size at exactly 30 Hz, and a television input.
 VIVID = "n_devs=3 node_types=0x1,0x1,0x1 num_inputs=1,1,1 input_types=3,3,1 vid_cap_nr=10,11,12"
@@ -227,6 +230,7 @@ def run(command: list[str], cache: Path, timeout_s: float, environment: dict[str
             stdin=subprocess.DEVNULL,
             stdout=(job / "console").open("wb"),
             stderr=subprocess.STDOUT,
+            preexec_fn=die_with_parent,
         )
         try:
             machine.wait(timeout_s)
@@ -241,6 +245,11 @@ def run(command: list[str], cache: Path, timeout_s: float, environment: dict[str
             return int((job / "exit_code").read_text())
         print((job / "console").read_text(errors="replace")[-4000:], file=sys.stderr)
         return TIMEOUT
+
+
+def die_with_parent() -> None:
+    """No emulator is left behind when a test run is cut off."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def script(command: list[str], environment: dict[str, str]) -> str:
@@ -291,6 +300,7 @@ def main() -> int:
     parser.add_argument("--env", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("command", nargs=argparse.REMAINDER)
     args = parser.parse_args()
+    die_with_parent()
     try:
         if args.prepare or not args.command:
             require("qemu-system-x86_64")
