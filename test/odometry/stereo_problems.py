@@ -95,6 +95,21 @@ def seen_points(rng, n, depth_m=(4.0, 40.0)):
     return np.column_stack([(u - CAMERA.cx) / CAMERA.fx * z, (v - CAMERA.cy) / CAMERA.fy * z, z])
 
 
+def on_a_line(rng):
+    """Any turn about the line through all points changes nothing: A has rank 5."""
+    along = np.linspace(-1.0, 1.0, 30)[:, None]
+    points = np.array([0.5, -0.3, 12.0]) + along * np.array([2.0, 1.0, 4.0])
+    observed = CAMERA.project(points) + rng.normal(0, 0.3, (30, 4))
+    return Problem(points, observed, np.ones(30), np.eye(4))
+
+
+def one_place(rng):
+    """Thirty times the same point: rank 3."""
+    points = np.tile([[0.5, -0.3, 12.0]], (30, 1))
+    observed = CAMERA.project(points) + rng.normal(0, 0.3, (30, 4))
+    return Problem(points, observed, np.ones(30), np.eye(4))
+
+
 def difference(T_a, T_b):
     """(6,) tangent vector from one motion to the other."""
     return log_se3(T_a @ inverse(T_b))

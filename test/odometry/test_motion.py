@@ -22,7 +22,14 @@ from thermal_stereo_vo.odometry.feature_based.motion import (
 )
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 
-from .stereo_problems import CAMERA, difference, make_problem, seen_points
+from .stereo_problems import (
+    CAMERA,
+    difference,
+    make_problem,
+    on_a_line,
+    one_place,
+    seen_points,
+)
 
 PAPER = MotionConfig(radial_trust=0.0)
 each_solver = pytest.mark.parametrize("solver", SOLVERS)
@@ -261,6 +268,14 @@ def test_covariance_is_symmetric_and_positive(rng):
     C = estimate(make_problem(rng, 30)).covariance
     np.testing.assert_allclose(C, C.T, rtol=1e-6, atol=1e-18)
     assert np.linalg.eigvalsh(0.5 * (C + C.T)).min() > 0
+
+
+@each_solver
+@pytest.mark.parametrize("make", [on_a_line, one_place])
+def test_points_that_leave_a_motion_open_are_no_measurement(solver, make):
+    """Any turn about the line through all points fits; no finite covariance could say so."""
+    for seed in range(5):
+        assert estimate(make(np.random.default_rng(seed)), solver=solver) is None
 
 
 def test_far_points_say_little_of_the_translation(rng):

@@ -20,7 +20,15 @@ from thermal_stereo_vo.odometry.solvers import (
     solve_reprojection,
 )
 
-from .stereo_problems import CAMERA, Problem, difference, make_problem, seen_points
+from .stereo_problems import (
+    CAMERA,
+    Problem,
+    difference,
+    make_problem,
+    on_a_line,
+    one_place,
+    seen_points,
+)
 from .test_dogleg_step import reference_step
 
 seeds = st.integers(0, 2**32 - 1)
@@ -311,21 +319,6 @@ def test_a_start_at_the_minimum_stays_there(solver, rng):
     assert again.converged
     assert again.iterations <= 1
     assert np.abs(difference(again.T, best.T)).max() < 1e-7
-
-
-def on_a_line(rng):
-    """Any turn about the line through all points changes nothing: A has rank 5."""
-    along = np.linspace(-1.0, 1.0, 30)[:, None]
-    points = np.array([0.5, -0.3, 12.0]) + along * np.array([2.0, 1.0, 4.0])
-    observed = CAMERA.project(points) + rng.normal(0, 0.3, (30, 4))
-    return Problem(points, observed, np.ones(30), np.eye(4))
-
-
-def one_place(rng):
-    """Thirty times the same point: rank 3."""
-    points = np.tile([[0.5, -0.3, 12.0]], (30, 1))
-    observed = CAMERA.project(points) + rng.normal(0, 0.3, (30, 4))
-    return Problem(points, observed, np.ones(30), np.eye(4))
 
 
 @each_solver

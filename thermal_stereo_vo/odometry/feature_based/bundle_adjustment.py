@@ -23,6 +23,7 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     residual_row,
     uses_component,
 )
+from thermal_stereo_vo.odometry.information import inverse_information
 
 RHO_MIN = 1e-5
 
@@ -85,13 +86,10 @@ def adjust_bundle(
             return None
         done += used
     window_residuals(T, rhos, *fixed, residuals)
-    try:
-        covariance = np.asarray(sigma_px**2 * np.linalg.inv(A), np.float64)
-    except np.linalg.LinAlgError:
+    unit_covariance = inverse_information(A)
+    if unit_covariance is None:
         return None
-    if not np.all(np.isfinite(covariance)):
-        return None
-    return BundleSolution(T, rhos, h_rho, covariance, residuals, sigma_px, done)
+    return BundleSolution(T, rhos, h_rho, sigma_px**2 * unit_covariance, residuals, sigma_px, done)
 
 
 @njit(cache=True, nogil=True)

@@ -18,6 +18,7 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     residual_row,
     uses_component,
 )
+from thermal_stereo_vo.odometry.information import inverse_information
 
 
 @dataclass(frozen=True)
@@ -71,13 +72,10 @@ def refine_frame_pose(
         ):  # fmt: skip
             return None
     frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, residuals)
-    try:
-        covariance = np.asarray(sigma_px**2 * np.linalg.inv(A), np.float64)
-    except np.linalg.LinAlgError:
+    unit_covariance = inverse_information(A)
+    if unit_covariance is None:
         return None
-    if not np.all(np.isfinite(covariance)):
-        return None
-    return FramePose(T, covariance, residuals, sigma_px)
+    return FramePose(T, sigma_px**2 * unit_covariance, residuals, sigma_px)
 
 
 def robust_sigma(residuals: NDArray[np.float64]) -> float:

@@ -15,6 +15,7 @@ from thermal_stereo_vo.odometry.feature_based.stereo_projection import (
     linearise_reprojection,
     reprojection_residuals,
 )
+from thermal_stereo_vo.odometry.information import inverse_information
 from thermal_stereo_vo.odometry.solvers import Solution, SolverConfig, solve_reprojection
 
 
@@ -110,13 +111,12 @@ def estimate_motion(
         return None
     residuals = reprojection_residuals(T, points_m[used], observed_px[used], camera)
     variance_px2 = 2.0 * solution.cost / max(residuals.size - 6, 1)
-    try:
-        covariance = np.asarray(variance_px2 * np.linalg.inv(solution.A), np.float64)
-    except np.linalg.LinAlgError:
+    unit_covariance = inverse_information(solution.A)
+    if unit_covariance is None:
         return None
-    if not np.all(np.isfinite(covariance)):
-        return None
-    return Motion(T, covariance, inliers, float(np.sqrt(np.mean(residuals**2))), solution)
+    return Motion(
+        T, variance_px2 * unit_covariance, inliers, float(np.sqrt(np.mean(residuals**2))), solution
+    )
 
 
 def radial_weights(

@@ -1,0 +1,30 @@
+"""Covariances from the normal equations of a solved problem."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LEAST_EIGENVALUE = 1e-12
+"""Of the information with unit diagonal: below this it is rounding, not information."""
+
+
+def inverse_information(A: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Inverse of a symmetric (N, N) information matrix: symmetric and positive definite.
+
+    None when it leaves a direction open, whatever the units of the parameters are.
+
+    >>> inverse_information(np.diag([4.0, 1e8])).diagonal()
+    array([2.5e-01, 1.0e-08])
+    >>> inverse_information(np.ones((2, 2))) is None
+    True
+    """
+    diagonal = np.diag(A)
+    if not np.all(np.isfinite(A)) or not np.all(diagonal > 0.0):
+        return None
+    scale = np.sqrt(np.outer(diagonal, diagonal))
+    values, vectors = np.linalg.eigh(A / scale)
+    if values[0] < _LEAST_EIGENVALUE:
+        return None
+    inverse: NDArray[np.float64] = (vectors / values) @ vectors.T / scale
+    return 0.5 * (inverse + inverse.T)
