@@ -70,7 +70,10 @@ def statistics_of(image: Image, count_features: Callable[[Image], int]) -> Image
     gradient = gradient_magnitude(image)
     frequency, power = power_spectrum(image)
     middle = (frequency > 0.02) & (frequency < 0.2)
-    slope = np.polyfit(np.log(frequency[middle]), np.log(power[middle] + 1e-9), 1)[0]
+    # A ring holds as many samples as it is long and wide: the spread falls with the frequency.
+    slope = np.polyfit(
+        np.log(frequency[middle]), np.log(power[middle] + 1e-9), 1, w=frequency[middle]
+    )[0]
     # Rings are wider further out: power times circumference and width.
     weight = power * frequency * np.gradient(frequency)
     return ImageStatistics(
