@@ -45,15 +45,17 @@ table5: $(VENV)/ready ## Fly nine simulated flights by every method (hours; goes
 	$(RUN) -m thermal_stereo_vo benchmark table5 --output report/table5 $(TABLE5)
 
 clean: ## Remove what was produced, except the environments.
-	rm -rf $(DEMO) build install log report .coverage .*_cache .hypothesis
+	rm -rf $(DEMO) build install log report .coverage .*_cache .hypothesis .venv*/numba_cache
 	find . -name __pycache__ -not -path './.venv*' -prune -exec rm -rf {} +
 
 distclean: clean ## Remove the environments too.
 	rm -rf $(VENV) $(VENV_24_04)
 
-# Compiled kernels are kept in the environment they were compiled for.
-RUN = NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/numba_cache $(VENV)/bin/python
-RUN_24_04 = NUMBA_CACHE_DIR=$(CURDIR)/$(VENV_24_04)/numba_cache $(VENV_24_04)/bin/python
+# Compiled kernels are kept in the environment they were compiled for, apart for each state of their
+# sources: numba does not notice when a kernel that another file calls has changed.
+KERNELS := $(shell cat $$(grep -rl --include='*.py' njit thermal_stereo_vo | sort) | sha256sum | cut -c -12)
+RUN = NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/numba_cache/$(KERNELS) $(VENV)/bin/python
+RUN_24_04 = NUMBA_CACHE_DIR=$(CURDIR)/$(VENV_24_04)/numba_cache/$(KERNELS) $(VENV_24_04)/bin/python
 
 $(VENV)/ready: $(REQUIREMENTS) requirements/lint.txt
 	$(call make_venv,$(PYTHON),$(VENV))
