@@ -21,6 +21,7 @@ from thermal_stereo_vo.core.cameras import Camera, DistortionModel, RigCalibrati
 from thermal_stereo_vo.core.errors import ConfigError, DatasetError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
 from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.transforms import exp_se3
 from thermal_stereo_vo.odometry import solver_comparison
 
 PAIRS = 20
@@ -402,6 +403,25 @@ def test_solvers_agree_and_say_so(comparison):
     text = comparison_report(comparison)
     assert "run to the end, the three agree to 1e-6" in text
     assert len(re.findall(r"^(gauss_newton|levenberg_marquardt|double_dogleg) ", text, re.M)) == 9
+
+
+def test_final_error_of_a_chain_is_a_share_of_the_way():
+    """A truth a tenth longer than what the matches show: an eleventh is missing at the end."""
+    sequence = solver_comparison.simulate_steps(np.random.default_rng(3), 1)
+    # Straight on: on a winding way the end is nearer than the way is long.
+    T = exp_se3([0.05, 0.0, 0.3, 0.0, 0.0, 0.0])
+    poses = np.array([np.linalg.matrix_power(T, i) for i in range(13)])
+    camera = sequence.camera
+    rng = np.random.default_rng(0)
+    steps = []
+    for _ in range(12):
+        points = rng.uniform((-4.0, -3.0, 5.0), (4.0, 3.0, 25.0), (200, 3))
+        after = points - T[:3, 3]
+        steps.append(solver_comparison.Step(camera.project(points), camera.project(after)))
+    poses[:, :3, 3] *= 1.1
+    longer = gaps.replace(sequence, steps=tuple(steps), T_world_left=poses)
+    for chain in solver_comparison.compare_solvers(longer).chains:
+        assert chain.final_error_percent == pytest.approx(100.0 / 11.0, rel=1e-3)
 
 
 def test_disagreement_is_told_too(comparison):

@@ -94,6 +94,9 @@ def test_nees_of_errors_as_large_as_the_covariance_says(flight, rng):
     values = pose_nees(results, truth)
     assert np.isnan(values[0])
     assert 5.0 < np.mean(values[1:]) < 7.0
+    cell = make_cell("seq1", "GN", 0, results, truth)
+    assert cell.nees_mean == pytest.approx(np.mean(values[1:]))
+    assert cell.nees_final == pytest.approx(values[-1])
     halved = [dataclasses.replace(r, covariance=r.covariance / 4) for r in results]
     np.testing.assert_allclose(pose_nees(halved, truth)[1:], 4 * values[1:], rtol=1e-6)
 
