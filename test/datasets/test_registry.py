@@ -6,7 +6,6 @@ import pytest
 
 from thermal_stereo_vo.core.errors import DatasetError, ThermalStereoError
 from thermal_stereo_vo.datasets.registry import SourceOptions, open_dataset
-from thermal_stereo_vo.simulation.presets import preset_names
 
 
 def test_a_path_that_is_not_there(tmp_path):
@@ -36,7 +35,7 @@ def test_an_unknown_file(tmp_path):
 
 
 def test_a_simulated_run_is_opened_by_name():
-    name = preset_names()[0]
+    name = "hover"
     dataset, reason = open_dataset(f"sim:{name}", SourceOptions(length_m=5.0))
     assert reason == f"simulated run '{name}'"
     assert dataset.name == name

@@ -43,11 +43,11 @@ def test_a_second_run_renders_nothing_and_sees_the_same(tmp_path, rendered) -> N
 
 def test_sensors_may_change_without_rendering_again(tmp_path, rendered) -> None:
     first = run(tmp_path)
-    noisier = run(tmp_path, "thermal.netd_mk=200", seed=5)
+    noisier = run(tmp_path, "thermal.netd_mk=400", seed=5)
     shuttered = run(tmp_path, "ffc.mode=periodic", "ffc.first_s=0.1", "ffc.duration_s=0.2")
     assert rendered == [len(first), 0, 0]
-    spread = [np.percentile(images[2], 84) - np.median(images[2]) for images in (noisier, first)]
-    assert spread[0] > 2.0 * spread[1]
+    spread = [np.abs(images[2] - np.median(images[2])).mean() for images in (noisier, first)]
+    assert spread[0] > 1.5 * spread[1]
     np.testing.assert_array_equal(shuttered[8], shuttered[4])  # frozen, left eye
 
 

@@ -81,6 +81,6 @@ def statistics_of(image: Image, count_features: Callable[[Image], int]) -> Image
         gradient_p95=float(np.percentile(gradient, 95)),
         flat_percent=float(100.0 * np.mean(gradient < 1.0)),
         spectral_slope=float(slope),
-        fine_percent=float(100.0 * weight[frequency > 0.25].sum() / weight.sum()),
+        fine_percent=float(100.0 * weight[frequency > 0.25].sum() / max(weight.sum(), 1e-9)),
         features=count_features(image) / image.size * 1e4,
     )
