@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import textwrap
 import threading
@@ -11,16 +12,18 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from enum import Enum
+from types import FrameType
 from typing import Any, ClassVar, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from thermal_stereo_vo.core.config import describe, settings_of
@@ -33,6 +36,7 @@ from thermal_stereo_vo.pipeline import Config as PipelineConfig
 Config = TypeVar("Config")
 
 NO_DATA_AFTER_S = 5.0
+STOP_CHECK_S = 0.2
 
 RELIABLE = QoSProfile(depth=10)
 """``/odom``, ``status``, camera_info: every message, in order."""
@@ -308,6 +312,23 @@ def help_text(node_type: type[BaseNode[Any]]) -> str:
     return "\n".join(lines)
 
 
+def stop_signals() -> threading.Event:
+    """Set at the first Ctrl-C or SIGTERM; the second one ends the process at once.
+
+    An exception out of a signal handler may hit rclpy inside a call that cannot take it: the node
+    then ends with an error that is none, or never.  An event waits until the call is over.
+    """
+    stop = threading.Event()
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        stop.set()
+        signal.signal(number, signal.SIG_DFL)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+    return stop
+
+
 def run(node_type: type[BaseNode[Any]], args: Sequence[str] | None = None) -> int:
     """Start the node, spin until somebody stops it, clean up.
 
@@ -332,15 +353,20 @@ def run(node_type: type[BaseNode[Any]], args: Sequence[str] | None = None) -> in
         return 2
     node: BaseNode[Any] | None = None
     failure: BaseException | None = None
-    rclpy.init(args=argv)
+    stop = stop_signals()
+    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
     try:
         node = node_type()
-        rclpy.spin(node)
+        executor.add_node(node)
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=STOP_CHECK_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:
         failure = error
     finally:
+        executor.shutdown()
         if node is not None:
             failure = failure or node.failure
             node.close()
