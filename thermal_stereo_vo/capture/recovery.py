@@ -102,12 +102,13 @@ class Rate:
 
     def hz(self, now_ns: int) -> float:
         """At this moment on the monotonic clock."""
-        if len(self.stamps) < 2:
+        stamps = tuple(self.stamps)  # another thread adds to them
+        if len(stamps) < 2:
             return 0.0
         # The silence since the last frame counts once it is longer than a usual interval.
-        span_ns = self.stamps[-1] - self.stamps[0]
-        silence_ns = now_ns - self.stamps[-1] - 2 * span_ns // (len(self.stamps) - 1)
-        return (len(self.stamps) - 1) * 1e9 / (span_ns + max(silence_ns, 0))
+        span_ns = stamps[-1] - stamps[0]
+        silence_ns = now_ns - stamps[-1] - 2 * span_ns // (len(stamps) - 1)
+        return (len(stamps) - 1) * 1e9 / (span_ns + max(silence_ns, 0))
 
 
 class CameraLink:
@@ -229,7 +230,10 @@ class CameraLink:
                     input_checked_s = time.monotonic()
                     self._check_input(stream)
                 grab = stream.take() if stream.wait(_STOP_CHECK_S) else None
-                watchdog.check(grab)
+                if self._state is LinkState.NO_SIGNAL:
+                    watchdog.restart()  # opening anew brings no signal back
+                else:
+                    watchdog.check(grab)
                 if grab is not None:
                     self._sort(grab, self._sequence.update(grab.sequence))
 
@@ -279,7 +283,12 @@ class _Watchdog:
     def __init__(self, config: StreamConfig) -> None:
         self._device = config.device
         self._timeout_s = config.timeout_s
-        self._limit_s = config.start_timeout_s
+        self._start_timeout_s = config.start_timeout_s
+        self.restart()
+
+    def restart(self) -> None:
+        """Wait for the first frame, from now on."""
+        self._limit_s = self._start_timeout_s
         self._good_s = time.monotonic()
         self._damaged = 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from thermal_stereo_vo.core.frames import GapReason
 from thermal_stereo_vo.core.results import OdometryResult
 from thermal_stereo_vo.nodes.vitals import Window
 from thermal_stereo_vo.observers import Observer
@@ -55,9 +56,11 @@ class GateLog(Observer):
     def on_gate_event(self, event: GateEvent) -> None:
         self._count += 1
         self._last = str(event)
-        # Two lines, as rclpy ties a line of code to one severity.
+        # Lines of their own, as rclpy ties a line of code to one severity.
         if event.ongoing:
             self._logger.error(self._last)
+        elif event.reason is GapReason.DROPPED:  # many where pairs come too fast
+            self._logger.info(self._last, throttle_duration_sec=5.0)
         else:
             self._logger.info(self._last)
 

@@ -236,6 +236,18 @@ def test_no_signal_is_told_and_its_noise_kept_from_the_odometry(connect, left, e
     assert link.status().reason == ""
 
 
+def test_a_silent_input_without_signal_is_not_opened_again_and_again(connect, left, eventually):
+    left.control.no_signal = left.control.stalled = 1
+    link, frames = connect(timeout_s=0.05, start_timeout_s=0.05)
+    eventually(lambda: link.status().state is LinkState.NO_SIGNAL, link.status)
+    time.sleep(0.6)
+    status = link.status()
+    assert (status.counters.connections, status.counters.stalls) == (1, 0)
+    assert "no signal" in status.reason
+    left.control.no_signal = left.control.stalled = 0
+    flowing(frames, eventually, link)
+
+
 def test_a_name_that_nobody_has_yet_is_waited_for(connect, left, eventually, tmp_path):
     name = tmp_path / "by-path"
     link, frames = connect(device=str(name))
