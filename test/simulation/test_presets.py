@@ -56,11 +56,30 @@ def test_every_preset_can_be_planned_and_says_what_it_is() -> None:
     presets = all_presets()
     names = [preset.name for preset in presets]
     assert len(set(names)) == len(names)
-    assert {"demo", "hover", "turn", "ffc", "hot_arm", "corridor", "blackbody"} <= set(names)
+    assert {
+        "demo",
+        "hover",
+        "turn",
+        "quick_turn",
+        "ffc",
+        "hot_arm",
+        "corridor",
+        "blackbody",
+    } <= set(names)
     for preset in presets:
         plan = plan_of(preset.name)
         assert plan.motion.duration_s > 0.5
         assert preset.summary
+
+
+@pytest.mark.parametrize(("name", "wanted_deg_s"), [("turn", 34.0), ("quick_turn", 60.0)])
+def test_turns_reach_their_rate_as_a_quadrotor_can(name: str, wanted_deg_s: float) -> None:
+    motion = plan_of(name, "flight.gust_m=0").motion
+    times = np.arange(0.0, motion.duration_s, 0.05)
+    yaw_rates = np.degrees([motion.angular_velocity_rad_s(t)[2] for t in times])
+    assert yaw_rates.max() == pytest.approx(wanted_deg_s, rel=0.04)
+    assert np.abs(np.gradient(yaw_rates, times)).max() < 60.0  # deg/s2
+    assert np.sum(yaw_rates) * 0.05 == pytest.approx(360.0, abs=1.0)
 
 
 def test_length_and_speed_may_be_chosen() -> None:

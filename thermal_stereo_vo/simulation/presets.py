@@ -134,13 +134,18 @@ def _circuit(corners: tuple[Corner, ...], stops: tuple[int, ...] = ()) -> MakeMo
             ring[0],
             _heading(ring[0], ring[1]),
             program,
-            Limits(flight.speed_m_s),
+            _limits(config),
             rng,
             length_m=length_m,
             gust_m=flight.gust_m,
         )
 
     return motion
+
+
+def _limits(config: SimulationConfig) -> Limits:
+    flight = config.flight
+    return Limits(flight.speed_m_s, yaw_rate_rad_s=np.radians(flight.yaw_rate_deg_s))
 
 
 def _apart(a: tuple[float, ...], b: tuple[float, ...]) -> float:
@@ -187,13 +192,13 @@ def _flights() -> tuple[Preset, ...]:
 def _hover(config: SimulationConfig, rng: np.random.Generator) -> Motion:
     flight = config.flight
     start = crossing(0.3, 0.0, flight.height_m)
-    return fly(start, 0.0, [Hover(6.0)], Limits(), rng, gust_m=flight.gust_m)
+    return fly(start, 0.0, [Hover(6.0)], _limits(config), rng, gust_m=flight.gust_m)
 
 
 def _turn(config: SimulationConfig, rng: np.random.Generator) -> Motion:
     flight = config.flight
     start = crossing(0.0, 0.0, flight.height_m)
-    return fly(start, 0.3, [Hover(2.0, 360.0)], Limits(), rng, gust_m=flight.gust_m)
+    return fly(start, 0.3, [Hover(2.0, 360.0)], _limits(config), rng, gust_m=flight.gust_m)
 
 
 def _street_with_arm(plan: RunPlan) -> Scene:
@@ -231,6 +236,8 @@ def _short_ones() -> tuple[Preset, ...]:
         ),
         Preset("hover", "6 s in place", _settings({}), _hover, _town, _stereo),
         Preset("turn", "once about itself, then rest", _settings({}), _turn, _town, _stereo),
+        Preset("quick_turn", "once about itself at up to 60 deg/s, then rest",
+               _settings({"flight.yaw_rate_deg_s": 60.0}), _turn, _town, _stereo),
         Preset("corridor", "60 m straight down a street",
                _settings({"flight.length_m": 60.0}), straight, _town, _stereo),
         Preset("ffc", "80 m with corrections of both cameras, 3 s apart",

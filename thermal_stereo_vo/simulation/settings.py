@@ -47,6 +47,9 @@ class FlightConfig:
     speed_m_s: float = setting(
         4.5, "Speed on straight legs.", unit="m/s", minimum=0.2, maximum=12.0
     )
+    yaw_rate_deg_s: float = setting(
+        34.0, "Fastest turn about the vertical.", unit="deg/s", minimum=5.0, maximum=180.0
+    )
     height_m: float = setting(3.0, "Height above the road.", unit="m", minimum=0.5, maximum=30.0)
     gust_m: float = setting(
         0.05, "Wobble about the wanted path, standard deviation.", unit="m", minimum=0.0,
