@@ -395,3 +395,14 @@ def test_a_bag_brings_its_imu(flight, tmp_path: Path):
     from_bag = replay(dataset, flight.calibration(), config).results
     for a, b in zip(from_bag, run(flight), strict=True):
         np.testing.assert_array_equal(a.T_world_rig, b.T_world_rig)
+
+
+def test_the_gyro_is_asked_for_the_time_the_images_show():
+    """A turn that begins 20 ms before the stamp is half seen by an image that lags 10 ms."""
+    gyro = gyro_at(lambda t: [0.0, 0.0 if t < 0.18 else 1.0, 0.0], 400_000_000)
+    state = OdometryState(StatusConfig(bolometer_lag_ms=10.0), np.eye(4), gyro)
+    state.advance(PERIOD_NS, by_bolometer=True)
+    state.started(TrackStats())
+    state.advance(2 * PERIOD_NS, by_bolometer=True)
+    turn = log_so3(state.predicted()[:3, :3])
+    np.testing.assert_allclose(turn, [0.0, 0.01, 0.0], atol=3e-3)

@@ -243,3 +243,47 @@ def test_stage_times_are_put_into_the_result():
     result = with_stages(s.started(TrackStats(features=7)), {"match": 1.5})
     assert result.stats.stage_ms == {"match": 1.5}
     assert result.stats.features == 7
+
+
+def moving_on(lag_ms: float, by_bolometer: bool | None, sigma_ms: float = 2.0):
+    """A result one step after the start, with images that lag or not."""
+    config = StatusConfig(bolometer_lag_ms=lag_ms, bolometer_lag_sigma_ms=sigma_ms)
+    s = OdometryState(config, T_START)
+    s.advance(0, by_bolometer=by_bolometer)
+    s.started(TrackStats())
+    s.advance(S // 10, by_bolometer=by_bolometer)
+    pose = s.pose.moved(inverse(T_STEP), C_STEP)
+    return s, s.measured(pose, inverse(T_STEP), C_STEP, 0.1, TrackStats(inliers=100))
+
+
+def test_poses_of_a_bolometer_are_moved_on_to_the_stamp():
+    """At a twist of one step in 100 ms, a lag of 10 ms is a tenth of a step."""
+    s, result = moving_on(10.0, by_bolometer=True)
+    np.testing.assert_allclose(s.pose.T_world_rig, T_START @ T_STEP, atol=1e-12)
+    expected = T_START @ exp_se3(1.1 * np.array([0.05, 0.0, 0.4, 0.0, 0.02, 0.0]))
+    np.testing.assert_allclose(result.T_world_rig, expected, atol=1e-12)
+
+
+def test_an_unsure_lag_makes_the_pose_unsure_along_the_twist():
+    _, sure = moving_on(10.0, by_bolometer=True, sigma_ms=0.0)
+    _, unsure = moving_on(10.0, by_bolometer=True, sigma_ms=2.0)
+    added = unsure.covariance - sure.covariance
+    R = sure.T_world_rig[:3, :3]
+    drift = 2e-3 * np.concatenate([R @ sure.twist[:3], R @ sure.twist[3:]])
+    np.testing.assert_allclose(added, np.outer(drift, drift), atol=1e-15)
+    assert np.sqrt(np.trace(added[:3, :3])) == pytest.approx(2e-3 * 4.03, rel=0.01)
+
+
+@pytest.mark.parametrize("by_bolometer", [False, None])
+def test_images_of_a_shutter_do_not_lag(by_bolometer):
+    s, result = moving_on(10.0, by_bolometer)
+    _, without = moving_on(0.0, by_bolometer=True, sigma_ms=5.0)
+    np.testing.assert_array_equal(result.T_world_rig, s.pose.T_world_rig)
+    np.testing.assert_array_equal(result.covariance, without.covariance)
+
+
+def test_a_blind_frame_lags_as_the_last_one_with_images():
+    s, seen = moving_on(10.0, by_bolometer=True)
+    s.advance(2 * S // 10, by_bolometer=None)
+    result = s.unmeasured(TrackStats(), "blind")
+    np.testing.assert_allclose(result.T_world_rig, seen.T_world_rig @ T_STEP, atol=1e-9)

@@ -145,6 +145,13 @@ class RigFrame:
     blind: Mapping[str, GapReason] = field(default_factory=dict)
     skew_ns: int = 0
 
+    @property
+    def has_counts(self) -> bool | None:
+        """Whether the images are linear counts of more than 8 bits; None without any image."""
+        for view in self.views.values():
+            return bool(view.image.dtype != np.uint8)
+        return None
+
 
 def _freeze(*arrays: NDArray[Any] | None) -> None:
     for array in arrays:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus, TrackStats
-from thermal_stereo_vo.core.transforms import inverse, make_transform
+from thermal_stereo_vo.core.transforms import exp_se3, inverse, make_transform
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.motion_prior import (
     ConstantVelocity,
@@ -23,9 +23,11 @@ from thermal_stereo_vo.odometry.status_machine import StatusConfig, StatusMachin
 class OdometryState:
     """Where the rig is thought to be.
 
-    ``pose`` is the estimate at the last frame, measured or predicted; while LOST it stays where the
-    rig was lost, so that the pose goes on from there after a recovery.  A ``gyro`` guides the
-    rotation of predictions wherever it has samples.
+    ``pose`` is where the rig was when it saw what the last frame shows, measured or predicted;
+    while LOST it stays where the rig was lost, so that the pose goes on from there after a
+    recovery.  A bolometer shows what it saw its time constant ago: results are moved on by that
+    lag, to the stamp of the frame.  A ``gyro`` guides the rotation of predictions wherever it has
+    samples.
     """
 
     def __init__(
@@ -37,12 +39,13 @@ class OdometryState:
         self._gyro = gyro
         self.pose = PoseEstimate.start(T_world_rig)
         self._origin_m = self.pose.T_world_rig[:3, 3].copy()
-        self._scale_sigma = config.scale_sigma
+        self._config = config
         self.prior = ConstantVelocity()
         self._status = StatusMachine(config)
         self._twist_covariance = np.zeros((6, 6))
         self._stamp_ns: int | None = None
         self._step_s = 0.0
+        self._by_bolometer = False
 
     @property
     def is_lost(self) -> bool:
@@ -54,9 +57,10 @@ class OdometryState:
         """The status of the last result."""
         return self._status.status
 
-    def advance(self, stamp_ns: int) -> float:
+    def advance(self, stamp_ns: int, *, by_bolometer: bool | None = False) -> float:
         """Take the stamp of a new frame; returns the seconds since the last one (0 at first).
 
+        ``by_bolometer`` says whether its images lag behind; None when it has none that could tell.
         Raises OutOfOrderError when it does not come later.
         """
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
@@ -66,6 +70,8 @@ class OdometryState:
             )
         self._step_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
         self._stamp_ns = stamp_ns
+        if by_bolometer is not None:
+            self._by_bolometer = by_bolometer
         return self._step_s
 
     def predicted(self) -> NDArray[np.float64]:
@@ -97,8 +103,8 @@ class OdometryState:
         """
         self.pose = pose
         if self._gyro is not None:
-            since_ns = self._now - round(elapsed_s * 1e9)
-            self._gyro.learn_bias(since_ns, self._now, inverse(T_after_before)[:3, :3])
+            since_ns = self._seen_ns - round(elapsed_s * 1e9)
+            self._gyro.learn_bias(since_ns, self._seen_ns, inverse(T_after_before)[:3, :3])
         self.prior.update(inverse(T_after_before), elapsed_s)
         self._twist_covariance = covariance / elapsed_s**2
         return self._result(self._status.measured(self._now, stats.inliers), stats, "")
@@ -126,11 +132,20 @@ class OdometryState:
         assert self._stamp_ns is not None
         return self._stamp_ns
 
+    @property
+    def _lag_s(self) -> float:
+        return 1e-3 * self._config.bolometer_lag_ms if self._by_bolometer else 0.0
+
+    @property
+    def _seen_ns(self) -> int:
+        """When the rig saw what the frame shows."""
+        return self._now - round(self._lag_s * 1e9)
+
     def _felt(self, elapsed_s: float) -> NDArray[np.float64] | None:
         """(3, 3) rotation of the last ``elapsed_s`` (axes after to before) by the gyro, or None."""
         if self._gyro is None or elapsed_s <= 0.0:
             return None
-        return self._gyro.rotation_between(self._now - round(elapsed_s * 1e9), self._now)
+        return self._gyro.rotation_between(self._seen_ns - round(elapsed_s * 1e9), self._seen_ns)
 
     def _result(self, status: TrackingStatus, stats: TrackStats, reason: str) -> OdometryResult:
         common = {"stats": stats, "reason": reason, "reset_counter": self._status.reset_counter}
@@ -143,21 +158,36 @@ class OdometryState:
             if self._gyro is not None and self._felt(self._step_s) is not None:
                 twist_covariance[3:] = twist_covariance[:, 3:] = 0.0
                 twist_covariance[3:, 3:] = self._gyro.rate_variance(self._step_s) * np.eye(3)
+        twist = np.zeros(6) if self.prior.twist is None else self.prior.twist.copy()
+        T_world_rig = self.pose.T_world_rig @ exp_se3(twist * self._lag_s)
         return OdometryResult(
             self._now,
             status,
-            self.pose.T_world_rig.copy(),
-            self._claimed_covariance(),
-            twist=np.zeros(6) if self.prior.twist is None else self.prior.twist.copy(),
+            T_world_rig,
+            self._claimed_covariance(T_world_rig, twist, twist_covariance),
+            twist=twist,
             twist_covariance=twist_covariance,
             **common,  # type: ignore[arg-type]
         )
 
-    def _claimed_covariance(self) -> NDArray[np.float64]:
-        """That of the pose, and of the scale: an error common to all steps since the start."""
+    def _claimed_covariance(
+        self,
+        T_world_rig: NDArray[np.float64],
+        twist: NDArray[np.float64],
+        twist_covariance: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """That of the pose, of the way through the lag, and of what no residual shows.
+
+        The error of the scale is common to all steps since the start.
+        """
         covariance = self.pose.covariance.copy()
-        way_m = self._scale_sigma * (self.pose.T_world_rig[:3, 3] - self._origin_m)
+        way_m = self._config.scale_sigma * (T_world_rig[:3, 3] - self._origin_m)
         covariance[:3, :3] += np.outer(way_m, way_m)
+        if self._lag_s > 0.0:
+            to_world = np.kron(np.eye(2), T_world_rig[:3, :3])
+            drift = 1e-3 * self._config.bolometer_lag_sigma_ms * (to_world @ twist)
+            covariance += np.outer(drift, drift)
+            covariance += self._lag_s**2 * to_world @ twist_covariance @ to_world.T
         return covariance
 
 

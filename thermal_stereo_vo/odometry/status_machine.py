@@ -30,6 +30,21 @@ class StatusConfig:
         minimum=0.0,
         maximum=0.2,
     )
+    bolometer_lag_ms: float = setting(
+        10.0,
+        "How long ago a bolometer saw what it shows, its thermal time constant.  Poses from linear "
+        "counts (16-bit images) are moved on by this with the twist, those from 8-bit images not.",
+        unit="ms",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    bolometer_lag_sigma_ms: float = setting(
+        2.5,
+        "How well that lag is known; adds to the covariance along the twist.",
+        unit="ms",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 class StatusMachine:

@@ -75,7 +75,7 @@ class FrameToFrameOdometry:
 
     def process(self, frame: RigFrame) -> OdometryResult:
         """Match against the last good frame and move on."""
-        self._state.advance(frame.stamp_ns)
+        self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
         left, right = frame.views.get(LEFT), frame.views.get(RIGHT)
         if left is None or right is None:
             return self._state.unmeasured(TrackStats(), blindness(frame))

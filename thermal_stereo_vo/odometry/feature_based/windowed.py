@@ -154,7 +154,7 @@ class WindowedOdometry:
 
     def process(self, frame: RigFrame) -> OdometryResult:
         """Track against the window; make a keyframe when the view has changed."""
-        self._state.advance(frame.stamp_ns)
+        self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
         if self._window is not None:
             self._finish_bundle(self._window)
         if not frame.views:
