@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from thermal_stereo_vo.core.errors import EvaluationError
-from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 
 
 def poses(positions):
@@ -58,3 +59,31 @@ def test_numbers_must_be_finite(value):
     T = poses([[0, 0, 0], [value, 0, 0]])
     with pytest.raises(EvaluationError, match="must not hold NaN or infinite numbers"):
         Trajectory(np.array([1, 2]), T)
+
+
+def results_of(letters):
+    """A pose at x = i for each status that has one."""
+    statuses = {status.value[0]: status for status in TrackingStatus}
+    found = []
+    for i, letter in enumerate(letters):
+        T = None if letter == "L" else poses([[i, 0, 0]])[0]
+        found.append(OdometryResult(10 * i, statuses[letter], T, None))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("letters", "kept"),
+    [
+        ("ITTGT", [0, 1, 2, 3, 4]),
+        ("IIITT", [2, 3, 4]),  # the world starts with the last frame of the start
+        ("ITLLTG", [0, 1, 4, 5]),
+        ("IILL", [1]),
+        ("IIII", [3]),
+        ("TGT", [0, 1, 2]),
+        ("", []),
+    ],
+)
+def test_only_estimated_poses_make_a_trajectory(letters, kept):
+    trajectory = estimated_trajectory(results_of(letters))
+    np.testing.assert_array_equal(trajectory.stamps_ns, [10 * i for i in kept])
+    np.testing.assert_array_equal(trajectory.positions_m[:, 0], kept)

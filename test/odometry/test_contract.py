@@ -277,7 +277,10 @@ def test_reset_forgets_everything_and_goes_on_from_the_pose_given(settings, flig
     odometry.reset(np.eye(4))
     first = run(odometry, flight.frames)
     odometry.reset(np.eye(4))  # and time may begin anew
-    assert all(same(a, b) for a, b in zip(first, run(odometry, flight.frames), strict=True))
+    again = run(odometry, flight.frames)
+    assert {r.reset_counter for r in first} == {1}
+    assert {r.reset_counter for r in again} == {2}  # it never shrinks
+    assert all(same(a, replace(b, reset_counter=1)) for a, b in zip(first, again, strict=True))
     T_start = exp_se3([3.0, -2.0, 1.0, 0.3, 1.0, -0.4])
     given = T_start.copy()
     odometry.reset(given)

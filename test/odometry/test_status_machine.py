@@ -199,6 +199,23 @@ def test_what_was_unseen_is_in_the_covariance_after_a_loss():
     assert sigmas[1] > 0.5 * 3.0 * 2.0**2 * 0.9
 
 
+def test_a_restart_counts_as_a_reset_and_forgets_the_rest():
+    s = state()
+    s.advance(0)
+    s.started(TrackStats())
+    step(s, S // 10, measured=True)
+    step(s, 3 * S, measured=False)
+    assert step(s, 3 * S + S // 10, measured=True).reset_counter == 1
+    s.restart(T_STEP)
+    s.advance(0)
+    result = s.started(TrackStats())
+    assert result.reset_counter == 2
+    assert result.status is INITIALISING
+    np.testing.assert_array_equal(result.T_world_rig, T_STEP)
+    np.testing.assert_array_equal(result.twist, np.zeros(6))
+    assert step(s, S // 10, measured=True).reset_counter == 2
+
+
 def test_nobody_can_change_the_state_through_a_result():
     s = state()
     s.advance(0)

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
-from thermal_stereo_vo.core.trajectory import Trajectory
-from thermal_stereo_vo.evaluation.metrics import Metrics, evaluate
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
+from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
+from thermal_stereo_vo.evaluation.association import compare
+from thermal_stereo_vo.evaluation.metrics import Metrics, measure
 from thermal_stereo_vo.pipeline import Config
 from thermal_stereo_vo.replay import replay
 from thermal_stereo_vo.stereo.rectification import Rectifier
@@ -20,10 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Flown:
-    """Results of all rig frames, and what they are worth."""
+    """Results of all rig frames, and what they are worth.
+
+    ``errors_m`` (N, 3) are the errors of the positions, worlds made equal at the first pose.
+    """
 
     results: tuple[OdometryResult, ...]
     metrics: Metrics
+    errors_m: NDArray[np.float64]
 
     @property
     def mean_inliers(self) -> float:
@@ -42,10 +49,9 @@ def fly(dataset: SimulatedDataset, config: Config) -> Flown:
     results = replay(dataset, calibration, config).results
     truth = dataset.ground_truth()
     T_rig_rectified = Rectifier(calibration, config.rectification).T_rig_rectified
-    posed = [result for result in results if result.T_world_rig is not None]
-    estimate = Trajectory(
-        np.array([result.stamp_ns for result in posed], np.int64),
-        np.array([result.T_world_rig for result in posed]),
-    )
-    metrics = evaluate(estimate, Trajectory(truth.stamps_ns, truth.T_world_rig @ T_rig_rectified))
-    return Flown(results, metrics)
+    truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ T_rig_rectified)
+    stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
+    comparison = compare(estimated_trajectory(results), truth, frame_stamps_ns=stamps_ns)
+    laid_over = aligned(comparison, Alignment.ORIGIN)
+    errors_m = laid_over.estimated_positions_m - laid_over.true_positions_m
+    return Flown(results, measure(comparison), errors_m[comparison.has_pose])

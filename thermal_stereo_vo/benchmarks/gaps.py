@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from thermal_stereo_vo.benchmarks.recorded import Recorded, estimated
+from thermal_stereo_vo.benchmarks.recorded import Recorded
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.core.frames import Image, RawFrame
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
-from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.evaluation.metrics import Metrics, evaluate
 from thermal_stereo_vo.evaluation.report import format_table
 from thermal_stereo_vo.observers import Observer
@@ -161,7 +161,7 @@ def run_hole(
     ).results
     after = None
     if hole is not None and recorded.truth is not None:
-        rest = estimated([r for r in results[hole.last + 1 :] if r.T_world_rig is not None])
+        rest = estimated_trajectory(results[hole.last + 1 :])
         if len(rest) >= 2:
             after = evaluate(rest, recorded.truth)
     return HoleRun(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.core.results import OdometryResult
-from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.datasets.base import Dataset
 from thermal_stereo_vo.datasets.registry import require_calibration
 from thermal_stereo_vo.evaluation.metrics import Metrics, evaluate
@@ -52,7 +52,7 @@ class Recorded:
         Poses are those of the rectified left camera.  Raises EvaluationError when no stamps agree.
         """
         results = list(results)
-        estimate = estimated(results)
+        estimate = estimated_trajectory(results)
         if self.truth is None or len(estimate) == 0:
             return None
         stamps = np.array([result.stamp_ns for result in results], np.int64)
@@ -87,17 +87,6 @@ def record(
 def rectified_truth(truth: Trajectory, rectifier: Rectifier) -> Trajectory:
     """Poses of the rig become those of the rectified left camera, which the results speak of."""
     return Trajectory(truth.stamps_ns, truth.T_world_rig @ rectifier.T_rig_rectified)
-
-
-def estimated(results: Sequence[OdometryResult]) -> Trajectory:
-    """The poses that the results hold."""
-    posed = [
-        (result.stamp_ns, result.T_world_rig)
-        for result in results
-        if result.T_world_rig is not None
-    ]
-    stamps = np.array([stamp_ns for stamp_ns, _ in posed], np.int64)
-    return Trajectory(stamps, np.array([T for _, T in posed]).reshape(-1, 4, 4))
 
 
 def _first_pairs(

@@ -16,7 +16,10 @@ def add_ffc_arguments(parser: argparse.ArgumentParser) -> None:
         "and of both cameras at once, 0.5 s and 1 s long."
     )
     add_config_arguments(parser)
-    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="frame rate (10)")
+    parser.add_argument("--rate", type=float, default=20.0, metavar="HZ", help="frame rate (20)")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="image size relative to 640x480 (1)"
+    )
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="sensor seeds (5)")
     parser.add_argument(
         "--flights", metavar="A,B", help="some of the flights: straight, turn, hover"
@@ -44,10 +47,10 @@ def run_ffc(args: argparse.Namespace) -> int:
             f"--flights takes some of {', '.join(FLIGHTS)} and --seeds at least 1, got "
             f"'{args.flights}' and {args.seeds}"
         )
-    cells = []
-    with progress(len(flights) * len(SCHEDULES) * args.seeds, "flight", quiet=args.quiet) as step:
-        for cell in measure_all(range(args.seeds), config, args.rate, args.cache, flights):
-            cells.append(cell)
-            step()
+    seeds, total = range(args.seeds), len(flights) * len(SCHEDULES) * args.seeds
+    with progress(total, "flight", quiet=args.quiet) as step:
+        cells = list(
+            measure_all(seeds, config, args.rate, args.scale, args.cache, flights, on_progress=step)
+        )
     print(ffc_report(cells))
     return 0

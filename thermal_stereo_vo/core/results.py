@@ -47,7 +47,8 @@ class OdometryResult:
     ``T_world_rig`` is (4, 4), or None exactly when the status is LOST.  ``covariance`` is the
     (6, 6) covariance of that pose, accumulated since the start (``core`` states order and axes).
     ``twist`` is (6,): linear (m/s), then angular (rad/s) velocity of the rig in rig axes, with its
-    (6, 6) ``twist_covariance``.  ``reset_counter`` grows by one at each recovery from LOST.
+    (6, 6) ``twist_covariance``.  ``reset_counter`` grows by one at each recovery from LOST
+    and at each reset from outside, and never shrinks.
     """
 
     stamp_ns: int

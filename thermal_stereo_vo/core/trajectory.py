@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.errors import EvaluationError
+from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
 
 
 @dataclass(frozen=True)
@@ -50,3 +52,26 @@ class Trajectory:
         """(N,) distance travelled up to each pose, starting with 0."""
         steps_m = np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps_m)])
+
+
+def estimated_trajectory(results: Sequence[OdometryResult]) -> Trajectory:
+    """The poses of results in order of their stamps; frames that have none are left out.
+
+    It begins with the last frame of the start: before that one nothing was measured, and the pose
+    that stands there is no estimate.
+    """
+    posed = [
+        (result.stamp_ns, result.T_world_rig)
+        for result in results[start_index(results) :]
+        if result.T_world_rig is not None
+    ]
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in posed], np.int64)
+    poses = np.array([T_world_rig for _, T_world_rig in posed], np.float64)
+    return Trajectory(stamps_ns, poses.reshape(-1, 4, 4))
+
+
+def start_index(results: Sequence[OdometryResult]) -> int:
+    """Where the last frame of the start stands; 0 for no results."""
+    initialising = TrackingStatus.INITIALISING
+    started = next((i for i, r in enumerate(results) if r.status is not initialising), len(results))
+    return max(started - 1, 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.errors import EvaluationError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
-from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory, start_index
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
 from thermal_stereo_vo.evaluation.association import compare
@@ -81,11 +81,9 @@ def make_cell(
 
     Raises EvaluationError for a run without any pose.
     """
-    posed = [result for result in results if result.T_world_rig is not None]
-    if not posed:
+    estimate = estimated_trajectory(results)
+    if len(estimate) == 0:
         raise EvaluationError(f"{flight} by {method}, seed {seed}: no frame got a pose")
-    stamps = np.array([result.stamp_ns for result in posed], np.int64)
-    estimate = Trajectory(stamps, np.array([result.T_world_rig for result in posed]))
     frame_stamps = np.array([result.stamp_ns for result in results], np.int64)
     comparison = compare(estimate, truth, frame_stamps_ns=frame_stamps)
     metrics = measure(comparison)
@@ -119,14 +117,10 @@ def pose_nees(results: Sequence[OdometryResult], truth: Trajectory) -> NDArray[n
 
     The worlds are made equal at the last frame of the start, whose pose is certain by definition.
     """
-    started = next(
-        (i for i, r in enumerate(results) if r.status is not TrackingStatus.INITIALISING),
-        len(results),
-    )
     at = {int(stamp): T for stamp, T in zip(truth.stamps_ns, truth.T_world_rig, strict=True)}
     known = [
         (at[result.stamp_ns], result.T_world_rig, result.covariance)
-        for result in results[max(started - 1, 0) :]
+        for result in results[start_index(results) :]
         if result.T_world_rig is not None
         and result.covariance is not None
         and result.stamp_ns in at

@@ -37,11 +37,19 @@ class OdometryState:
         gyro: GyroIntegrator | None = None,
     ) -> None:
         self._gyro = gyro
+        self._config = config
+        self._status = StatusMachine(config)
+        self._begin(T_world_rig)
+
+    def restart(self, T_world_rig: NDArray[np.float64]) -> None:
+        """Forget everything and go on from this pose, which counts as a reset."""
+        self._status = StatusMachine(self._config, self._status.reset_counter + 1)
+        self._begin(T_world_rig)
+
+    def _begin(self, T_world_rig: NDArray[np.float64]) -> None:
         self.pose = PoseEstimate.start(T_world_rig)
         self._origin_m = self.pose.T_world_rig[:3, 3].copy()
-        self._config = config
         self.prior = ConstantVelocity()
-        self._status = StatusMachine(config)
         self._twist_covariance = np.zeros((6, 6))
         self._stamp_ns: int | None = None
         self._step_s = 0.0

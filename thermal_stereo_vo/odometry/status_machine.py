@@ -16,7 +16,7 @@ class StatusConfig:
         30, "Below this many inliers the status is DEGRADED.", minimum=6, maximum=10000
     )
     coast_max_s: float = setting(
-        1.0,
+        1.5,
         "Longest prediction without a measurement; after that the status is LOST and no pose "
         "goes out.",
         unit="s",
@@ -50,9 +50,9 @@ class StatusConfig:
 class StatusMachine:
     """INITIALISING -> TRACKING <-> DEGRADED; GAP while predicting; LOST beyond ``coast_max_s``."""
 
-    def __init__(self, config: StatusConfig) -> None:
+    def __init__(self, config: StatusConfig, reset_counter: int = 0) -> None:
         self._config = config
-        self.reset_counter = 0
+        self.reset_counter = reset_counter
         self.status = TrackingStatus.INITIALISING
         self._last_measured_ns: int | None = None
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.errors import EvaluationError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
-from thermal_stereo_vo.core.trajectory import Trajectory
+from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.core.transforms import (
     make_transform,
     orthonormalised,
@@ -214,11 +214,8 @@ class TrajectoryFiles(Observer):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The poses so far."""
-        posed = [result for result in self._results if result.T_world_rig is not None]
-        stamps_ns = np.array([result.stamp_ns for result in posed], dtype=np.int64)
-        poses = np.array([result.T_world_rig for result in posed], dtype=np.float64)
-        return Trajectory(stamps_ns, poses.reshape(-1, 4, 4))
+        """The poses so far, from the last frame of the start on."""
+        return estimated_trajectory(self._results)
 
     @property
     def frame_stamps_ns(self) -> NDArray[np.int64]:

@@ -49,12 +49,11 @@ class FrameToFrameOdometry:
         gyro: GyroIntegrator | None = None,
     ) -> None:
         self._settings = (config, status, solver, seed, threads)
-        self._status_config = status
-        self._gyro = gyro
         worker = make_worker(threads, "odometry")
         self._matcher = FeatureMatcher(config, solver, worker, seed)
         self._timer = StageTimer()
-        self.reset(np.eye(4))
+        self._state = OdometryState(status, np.eye(4), gyro)
+        self._forget()
 
     def warm_up(self) -> None:
         """Run small synthetic frames through every kernel, in an instance of its own."""
@@ -64,8 +63,11 @@ class FrameToFrameOdometry:
 
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
         """Forget all images and go on from this pose."""
+        self._state.restart(T_world_rig)
+        self._forget()
+
+    def _forget(self) -> None:
         self._matcher.reset()
-        self._state = OdometryState(self._status_config, T_world_rig, self._gyro)
         self._reference: _Reference | None = None
         self._map = PointCloud.empty()
 

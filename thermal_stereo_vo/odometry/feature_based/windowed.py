@@ -109,13 +109,13 @@ class WindowedOdometry:
         self._settings = (config, features, status, solver, keyframes, seed, threads)
         self._config = config
         self._status_config = status
-        self._gyro = gyro
         self._room = keyframes
         self._worker = make_worker(threads, "odometry")
         self._tracker = PatchTracker(config.tracking, self._worker, seed)
         self._matcher = FeatureMatcher(features, solver, self._worker, seed)
         self._timer = StageTimer()
-        self.reset(np.eye(4))
+        self._state = OdometryState(status, np.eye(4), gyro)
+        self._forget()
 
     def warm_up(self) -> None:
         """Run small synthetic frames through every kernel, in an instance of its own."""
@@ -129,10 +129,13 @@ class WindowedOdometry:
 
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
         """Forget all images and go on from this pose."""
+        self._state.restart(T_world_rig)
+        self._forget()
+
+    def _forget(self) -> None:
         self._finish_bundle_unused()
         self._matcher.reset()
         self._tracker.reset()
-        self._state = OdometryState(self._status_config, T_world_rig, self._gyro)
         self._window: KeyframeWindow | None = None
         self._keyframe: RigFrame | None = None
         self._keyframe_features: StereoFeatures | None = None
