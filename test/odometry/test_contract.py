@@ -24,6 +24,7 @@ from thermal_stereo_vo.odometry.interface import Odometry
 METHODS = {
     "frame to frame": ("method=feature", "window=0"),
     "window": ("method=feature", "window=7"),
+    "direct": ("method=direct",),
 }
 PERIOD_NS = 100_000_000
 FRAMES = 12

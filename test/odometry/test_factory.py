@@ -6,6 +6,7 @@ import pytest
 
 from thermal_stereo_vo.core.config import from_mapping, settings_of, with_overrides
 from thermal_stereo_vo.core.errors import ConfigError
+from thermal_stereo_vo.odometry.direct.stereo_method import StereoDirectOdometry
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry, describe
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedOdometry
@@ -23,6 +24,7 @@ def config(*assignments: str) -> OdometryConfig:
          "feature, frame to frame, gauss newton"),
         (["window=2"], WindowedOdometry, "feature, window of 2 keyframes"),
         ([], WindowedOdometry, "feature, window of 7 keyframes"),
+        (["method=direct"], StereoDirectOdometry, "direct, window of 7 keyframes"),
     ],
 )  # fmt: skip
 def test_settings_choose_the_method(assignments, kind, words):
@@ -40,6 +42,12 @@ def test_a_window_of_one_is_refused():
         "more",
     ):
         create_odometry(config("window=1"))
+
+
+@pytest.mark.parametrize("window", [0, 1])
+def test_the_direct_method_needs_a_window(window):
+    with pytest.raises(ConfigError, match=rf"window = {window} leaves the direct method nothing"):
+        create_odometry(config("method=direct", f"window={window}"))
 
 
 @pytest.mark.parametrize(

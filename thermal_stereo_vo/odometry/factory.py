@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
+from thermal_stereo_vo.odometry.direct.stereo_method import DirectConfig, StereoDirectOdometry
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedConfig, WindowedOdometry
@@ -17,7 +18,7 @@ from thermal_stereo_vo.odometry.interface import Odometry
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
 
-METHODS = ("feature",)
+METHODS = ("feature", "direct")
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class OdometryConfig:
     gyro: GyroConfig = group(GyroConfig, "Guidance by an IMU.")
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
+    direct: DirectConfig = group(DirectConfig, "Direct odometry.")
 
 
 def create_gyro(config: OdometryConfig, R_rig_imu: NDArray[np.float64]) -> GyroIntegrator | None:
@@ -52,6 +54,15 @@ def create_odometry(config: OdometryConfig, gyro: GyroIntegrator | None = None) 
 
     Raises ConfigError for a window of one keyframe, which could adjust nothing.
     """
+    if config.method == "direct":
+        if config.window < 2:
+            raise ConfigError(
+                f"odometry.window = {config.window} leaves the direct method nothing to optimise: "
+                "give 2 and more"
+            )
+        return StereoDirectOdometry(
+            config.direct, config.status, config.window, config.threads, gyro
+        )
     if config.window == 0:
         return FrameToFrameOdometry(
             config.feature, config.status, config.solver, config.seed, config.threads, gyro

@@ -1,0 +1,1 @@
+"""Direct odometry: brightness itself is what is compared, no features and no matches."""

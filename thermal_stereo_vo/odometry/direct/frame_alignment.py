@@ -1,0 +1,193 @@
+"""Pose and brightness of one frame against the patches of the keyframes, coarse to fine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.kernels import retract, solve_positive
+from thermal_stereo_vo.odometry.direct.photometric import (
+    COLUMNS,
+    PIXELS,
+    huber_weight,
+    linearise_patch,
+    patch_energy,
+)
+
+POSE = 6
+MIN_DAMPING, MAX_DAMPING = 1e-6, 1e5
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where a frame is.
+
+    ``T_rig_world`` (4, 4); ``brightness`` (C, 2) a and b of each camera; ``energies`` (C, N) mean
+    squared residual of each patch, NaN where it was not seen; ``A`` (6 + 2C, 6 + 2C) information
+    for a noise of one unit of brightness; ``cost`` mean energy of a patch.
+    """
+
+    T_rig_world: NDArray[np.float64]
+    brightness: NDArray[np.float64]
+    energies: NDArray[np.float64]
+    A: NDArray[np.float64]
+    cost: float
+    iterations: int
+
+
+@njit(cache=True, nogil=True)
+def linearise_frame(  # type: ignore[no-untyped-def]
+    T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
+    T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
+    steps, patches, trusts, huber, gate, free_depth, A, g, energies
+):  # fmt: skip
+    """Normal equations of pose and brightness of one frame at one pyramid level.
+
+    ``images`` one (H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
+    (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (C, 4, 4) rig from camera;
+    points sorted by host.  With ``free_depth`` inverse depths move too, held by
+    ``rho_information`` (N,), and are eliminated.  A patch with a mean squared residual above
+    ``gate`` squared costs that much and pulls no more.  Writes A, g and ``energies`` (C, N);
+    returns the mean cost of what is seen (infinite where nothing is) and how much that is.
+    """
+    C = len(use)
+    size = POSE + 2 * C
+    r, J = np.empty(PIXELS), np.empty((PIXELS, COLUMNS))
+    w = np.empty(size)
+    T, T_world_host = np.empty((4, 4)), np.empty((4, 4))
+    local = np.empty(8, np.int64)
+    for i in range(POSE):
+        local[i] = i
+    A[:] = 0.0
+    g[:] = 0.0
+    total, seen = 0.0, 0
+    last_host, last_camera = -1, -1
+    limit = gate * gate
+    for n in range(len(hosts)):
+        h, hc = hosts[n], host_cameras[n]
+        if h != last_host or hc != last_camera:
+            last_host, last_camera = h, hc
+            invert(T_host_world[h], T_world_host)
+            T[:] = T_rig_world @ T_world_host @ T_rig_host[hc]
+        h_rho, b_rho = rho_information[n], 0.0
+        w[:] = 0.0
+        touched = False
+        for c in range(C):
+            energies[c, n] = np.nan
+            if not use[c]:
+                continue
+            gain = np.exp(brightness[c, 0] - host_brightness[h, hc, 0])
+            if not linearise_patch(
+                images[c], cameras[c], scale, T, T_camera_rig[c], bearings[n], rhos[n], steps[hc],
+                patches[n], gain, host_brightness[h, hc, 1], brightness[c, 1], r, J,
+            ):  # fmt: skip
+                continue
+            trust = 0.0
+            for k in range(PIXELS):
+                trust += trusts[n, k]
+            if not trust > 0.0:
+                continue
+            energy = patch_energy(r, trusts[n], huber)
+            energies[c, n] = energy / trust
+            seen += 1
+            if energy > limit * trust:
+                total += limit * trust
+                continue
+            total += energy
+            touched = True
+            local[6] = POSE + 2 * c
+            local[7] = POSE + 2 * c + 1
+            for k in range(PIXELS):
+                weight = trusts[n, k] * huber_weight(r[k], huber)
+                j_rho = J[k, 8]
+                h_rho += weight * j_rho * j_rho
+                b_rho -= weight * j_rho * r[k]
+                for i in range(8):
+                    wj = weight * J[k, i]
+                    g[local[i]] -= wj * r[k]
+                    w[local[i]] += wj * j_rho
+                    for m in range(i, 8):
+                        A[local[i], local[m]] += wj * J[k, m]
+        if free_depth and touched and h_rho > 0.0:
+            for i in range(size):
+                factor = w[i] / h_rho
+                g[i] -= factor * b_rho
+                for m in range(i, size):
+                    A[i, m] -= factor * w[m]
+    for i in range(size):
+        for m in range(i):
+            A[i, m] = A[m, i]
+    if seen == 0:
+        return np.inf, 0
+    return total / seen, seen
+
+
+@njit(cache=True, nogil=True)
+def invert(T, out):  # type: ignore[no-untyped-def]
+    """Write the inverse of a rigid motion (4, 4)."""
+    for i in range(3):
+        out[i, 3] = 0.0
+        for j in range(3):
+            out[i, j] = T[j, i]
+            out[i, 3] -= T[j, i] * T[j, 3]
+        out[3, i] = 0.0
+    out[3, 3] = 1.0
+
+
+@njit(cache=True, nogil=True)
+def align_frame(  # type: ignore[no-untyped-def]
+    T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
+    T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
+    steps, patches, trusts, huber, gate, free_depth, iterations, A, g, energies
+):  # fmt: skip
+    """Levenberg-Marquardt at one level, in place; returns the cost, what was seen, iterations."""
+    C = len(use)
+    size = POSE + 2 * C
+    T_new, brightness_new = T_rig_world.copy(), brightness.copy()
+    A_new, g_new, damped = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    energies_new, step = energies.copy(), np.zeros(size)
+    damping = 1e-4
+    cost, seen = linearise_frame(
+        T_rig_world, brightness, images, use, cameras, T_camera_rig, scale, T_host_world,
+        host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information, steps,
+        patches, trusts, huber, gate, free_depth, A, g, energies,
+    )  # fmt: skip
+    done = 0
+    for iteration in range(iterations):
+        if not np.isfinite(cost):
+            break
+        done = iteration + 1
+        damped[:] = A
+        for i in range(size):
+            damped[i, i] += damping * A[i, i] + 1e-6
+        if not solve_positive(damped, g, step):
+            break
+        retract(T_rig_world, step[:POSE], T_new)
+        for c in range(C):
+            for i in range(2):
+                brightness_new[c, i] = brightness[c, i] + step[POSE + 2 * c + i]
+        new_cost, new_seen = linearise_frame(
+            T_new, brightness_new, images, use, cameras, T_camera_rig, scale, T_host_world,
+            host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
+            steps, patches, trusts, huber, gate, free_depth, A_new, g_new, energies_new,
+        )  # fmt: skip
+        # A step that only shows fewer patches is no better.
+        if new_cost < cost and 2 * new_seen > seen:
+            small = cost - new_cost < 1e-4 * cost
+            T_rig_world[:] = T_new
+            brightness[:] = brightness_new
+            A[:] = A_new
+            g[:] = g_new
+            energies[:] = energies_new
+            cost, seen = new_cost, new_seen
+            damping = max(0.2 * damping, MIN_DAMPING)
+            if small:
+                break
+        else:
+            damping = max(10.0 * damping, 1e-3)
+            if damping > MAX_DAMPING:
+                break
+    return cost, seen, done

@@ -1,0 +1,266 @@
+"""The keyframes of a direct method: images, brightness, and the points they host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
+from thermal_stereo_vo.odometry.direct.keyframe_poses import KeyframePoses
+from thermal_stereo_vo.odometry.direct.photometric import PIXELS, take_patches
+from thermal_stereo_vo.odometry.direct.photometric_bundle import (
+    PhotometricProblem,
+    PhotometricSolution,
+)
+from thermal_stereo_vo.odometry.direct.rig import Rig
+from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS
+from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
+
+MOST_MISSES = 3
+"""A point that should be in sight but does not fit this many times in a row is given up."""
+
+
+@dataclass(frozen=True)
+class PointSet:
+    """A selection of points: ``index`` (N,) in the window, sorted by host keyframe and camera.
+
+    ``hosts`` and ``host_cameras`` (N,), ``bearings`` (N, 3), ``rhos`` (N,) 1/m with
+    ``rho_information`` (N,) for a noise of one unit of brightness.
+    """
+
+    index: NDArray[np.int64]
+    hosts: NDArray[np.int64]
+    host_cameras: NDArray[np.int64]
+    bearings: NDArray[np.float64]
+    rhos: NDArray[np.float64]
+    rho_information: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def take(self, chosen: NDArray[np.intp]) -> PointSet:
+        """Those at the positions ``chosen``."""
+        return PointSet(
+            self.index[chosen],
+            self.hosts[chosen],
+            self.host_cameras[chosen],
+            self.bearings[chosen],
+            self.rhos[chosen],
+            self.rho_information[chosen],
+        )
+
+
+class PhotometricWindow:
+    """Fixed room for ``keyframes`` keyframes and ``capacity`` points; slots are used again.
+
+    ``brightness`` (slots, C, 2) a and b of each image; ``has_image`` (slots, C), for a camera may
+    be blind at a keyframe; ``stacks`` one (slots, H, W, 3) float32 per camera.
+    """
+
+    def __init__(self, keyframes: int, capacity: int, rig: Rig, trust_gradient: float) -> None:
+        cameras = len(rig.cameras)
+        self.rig = rig
+        self.poses = KeyframePoses(keyframes)
+        self._trust_gradient = trust_gradient
+        self.brightness = np.zeros((keyframes, cameras, 2))
+        self.has_image = np.zeros((keyframes, cameras), np.bool_)
+        self.stacks = tuple(np.zeros((keyframes, *shape, 3), np.float32) for shape in rig.shapes)
+        self._hosts = np.full(capacity, -1, np.int64)
+        self._host_cameras = np.zeros(capacity, np.int64)
+        self._px = np.zeros((capacity, 2))
+        self._bearings = np.zeros((capacity, 3))
+        self._rhos = np.zeros(capacity)
+        self._rho_information = np.zeros(capacity)
+        self._patches = np.zeros((LEVELS, capacity, PIXELS))
+        self._trusts = np.zeros((LEVELS, capacity, PIXELS))
+        self._misses = np.zeros(capacity, np.int64)
+        self._intensity = np.zeros(capacity, np.float32)
+        self.sigma = 5.0
+        """Noise of a pixel's residual as the last adjustment found it."""
+
+    def clear(self) -> None:
+        """Forget all keyframes and points; the room stays."""
+        self.poses.clear()
+        self._hosts[:] = -1
+
+    def points(self) -> PointSet:
+        """All points."""
+        index = np.flatnonzero(self._hosts >= 0)
+        index = index[np.lexsort((self._host_cameras[index], self._hosts[index]))]
+        return PointSet(
+            index,
+            self._hosts[index],
+            self._host_cameras[index],
+            self._bearings[index],
+            self._rhos[index],
+            self._rho_information[index],
+        )
+
+    def patches(
+        self, points: PointSet, level: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Brightness and trusts (N, 8) at a pyramid level."""
+        return self._patches[level][points.index], self._trusts[level][points.index]
+
+    def positions_m(self, points: PointSet) -> NDArray[np.float64]:
+        """(N, 3) world coordinates."""
+        T_world_host = np.stack([inverse(T) for T in self.poses.T_k_w])[points.hosts]
+        T = T_world_host @ self.rig.T_rig_camera[points.host_cameras]
+        in_host = points.bearings / points.rhos[:, None]
+        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], in_host) + T[:, :3, 3])
+
+    def intensities(self, points: PointSet) -> NDArray[np.float32]:
+        """(N,) counts of the points' pixels."""
+        return self._intensity[points.index]
+
+    def pixels_in(
+        self, points: PointSet, camera: int, T_rig_world: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(N, 2) where points appear in one camera of a rig at ``T_rig_world``; NaN behind it."""
+        T_world_host = np.stack([inverse(T) for T in self.poses.T_k_w])[points.hosts]
+        T_rig_host = T_rig_world @ T_world_host @ self.rig.T_rig_camera[points.host_cameras]
+        return self.rig.pixels_of(camera, T_rig_host, points.bearings, points.rhos)
+
+    def flow_px(self, points: PointSet, T_rig_world: NDArray[np.float64]) -> tuple[float, float]:
+        """Median motion of the newest keyframe's points since then: in all, and by translation."""
+        newest = self.poses.newest
+        T = T_rig_world @ inverse(self.poses.T_k_w[newest])
+        T_turn = T.copy()
+        T_turn[:3, 3] = 0.0
+        # Translations count in the camera that hosts the point; its lever arm is part of both.
+        camera = int(points.host_cameras[0])
+        mine = points.take(np.flatnonzero(points.host_cameras == camera))
+        T_rig_host = self.rig.T_rig_camera[camera]
+        there = self.rig.pixels_of(camera, T_rig_host, mine.bearings, mine.rhos)
+        here = self.rig.pixels_of(camera, T @ T_rig_host, mine.bearings, mine.rhos)
+        turned = self.rig.pixels_of(camera, T_turn @ T_rig_host, mine.bearings, mine.rhos)
+        all_px = np.linalg.norm(here - there, axis=1)
+        moved_px = np.linalg.norm(here - turned, axis=1)
+        if not np.any(np.isfinite(all_px)):
+            return np.inf, np.inf
+        return float(np.nanmedian(all_px)), float(np.nanmedian(moved_px))
+
+    def note_tracking(
+        self, points: PointSet, seen: NDArray[np.bool_], fits: NDArray[np.bool_]
+    ) -> None:
+        """Give up points that were ``seen`` (N,) but did not fit (N,) too many times in a row."""
+        self._misses[points.index[fits]] = 0
+        missed = points.index[seen & ~fits]
+        self._misses[missed] += 1
+        self._drop(missed[self._misses[missed] > MOST_MISSES])
+
+    def add_keyframe(
+        self,
+        pose: PoseEstimate,
+        relative_covariance: NDArray[np.float64],
+        pyramids: tuple[GradientPyramid | None, ...],
+        brightness: NDArray[np.float64],
+    ) -> int:
+        """Take a frame in, the oldest out where there is no room; returns its slot."""
+        if self.poses.is_full:
+            self._drop(np.flatnonzero(self._hosts == self.poses.drop_oldest()))
+        slot = self.poses.append(pose, relative_covariance)
+        self.brightness[slot] = brightness
+        for camera, pyramid in enumerate(pyramids):
+            self.has_image[slot, camera] = pyramid is not None
+            if pyramid is not None:
+                self.stacks[camera][slot] = pyramid[0]
+        return slot
+
+    def add_points(
+        self,
+        slot: int,
+        camera: int,
+        pyramid: GradientPyramid,
+        pixels: NDArray[np.int64],
+        rhos: NDArray[np.float64],
+        rho_information: NDArray[np.float64],
+        intensity: NDArray[np.generic],
+    ) -> int:
+        """Give a keyframe (N, 2) new points with inverse depths (N,); returns how many it took."""
+        free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
+        count = len(free)
+        pixels = pixels[:count]
+        self._px[free] = pixels
+        self._bearings[free] = self.rig.bearings(camera, pixels)
+        self._rhos[free] = rhos[:count]
+        self._rho_information[free] = rho_information[:count]
+        self._misses[free] = 0
+        self._intensity[free] = intensity[:count]
+        self._host_cameras[free] = camera
+        patches, trusts = np.zeros((count, PIXELS)), np.zeros((count, PIXELS))
+        for level in range(LEVELS):
+            trusts[:] = 0.0
+            take_patches(
+                pyramid[level], pixels.astype(np.float64), 0.5**level, self._trust_gradient,
+                patches, trusts,
+            )  # fmt: skip
+            self._patches[level][free] = patches
+            self._trusts[level][free] = trusts
+        usable = self._trusts[0][free].sum(axis=1) > 0.0
+        self._hosts[free[usable]] = slot
+        return int(usable.sum())
+
+    def problem(self) -> tuple[PhotometricProblem, PointSet]:
+        """A copy of everything the adjustment needs (images aside), and its points."""
+        points = self.points()
+        slots = np.array(self.poses.order)
+        rank = np.zeros(len(self.has_image), np.int64)
+        rank[slots] = np.arange(len(slots))
+        ordered = np.lexsort((points.host_cameras, rank[points.hosts]))
+        points = points.take(ordered)
+        hosts = rank[points.hosts]
+        seen = np.zeros((len(points), len(slots), len(self.rig.cameras)), np.bool_)
+        seen[:] = self.has_image[slots]
+        seen[np.arange(len(points)), hosts, points.host_cameras] = False
+        patches, trusts = self.patches(points, 0)
+        # Static stereo only (Stereo DSO): in other keyframes the other eye adds next to nothing.
+        elsewhere = hosts[:, None] != np.arange(len(slots))
+        other = points.host_cameras[:, None] != np.arange(len(self.rig.cameras))
+        seen[elsewhere[:, :, None] & other[:, None, :]] = False
+        for t, slot in enumerate(slots):
+            for camera, (height, width) in enumerate(self.rig.shapes):
+                x, y = self.pixels_in(points, camera, self.poses.T_k_w[slot]).T
+                seen[:, t, camera] &= (x > 4) & (x < width - 5) & (y > 4) & (y < height - 5)
+        return (
+            PhotometricProblem(
+                self.stacks,
+                slots,
+                self.poses.T_k_w[slots].copy(),
+                self.brightness[slots].copy(),
+                self.rig.cameras,
+                self.rig.T_rig_camera,
+                hosts,
+                points.host_cameras,
+                points.bearings,
+                points.rhos,
+                patches,
+                trusts,
+                seen,
+            ),
+            points,
+        )
+
+    def apply(
+        self,
+        solution: PhotometricSolution,
+        points: PointSet,
+        gate: float,
+        covariance_scale: float,
+    ) -> None:
+        """Take refined poses, brightness and depths over; give up points that fit nowhere."""
+        slots = np.array(self.poses.order)
+        self.poses.refine(solution.T_k_w, covariance_scale * solution.covariance)
+        self.brightness[slots] = solution.brightness
+        self._rhos[points.index] = solution.rhos
+        self._rho_information[points.index] = solution.rho_information
+        self.sigma = solution.sigma
+        fits = np.sum(solution.energies < gate * gate, axis=(1, 2))
+        fails = np.sum(solution.energies >= gate * gate, axis=(1, 2))
+        self._drop(points.index[(fits == 0) | (fails > 2 * fits)])
+
+    def _drop(self, index: NDArray[np.int64]) -> None:
+        self._hosts[index] = -1
