@@ -3,8 +3,9 @@
 
     measure_capture.py [SECONDS]
 
-Processor time of the fake cameras themselves is left out.  For measurements by hand; the tests
-assert no times.
+Processor time of the fake cameras themselves is left out.  Memory and descriptors are printed after
+10 s, then ten times over the whole time (20 s if not given; 600 for ten minutes).  For measurements
+by hand; the tests assert no times.
 """
 
 from __future__ import annotations
@@ -20,13 +21,17 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 CAPTURE_THREADS = ("capture-left", "capture-right")
+FAKE_THREAD = "fake_v4l2"
+SETTLED_S = 10.0
 LISTENER = """
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 rclpy.init()
 node = rclpy.create_node("listener")
 for eye in ("left", "right"):
     node.create_subscription(Image, f"{eye}/image_raw", lambda message: None, 10)
+node.create_subscription(DiagnosticArray, "status", lambda message: None, 10)
 rclpy.spin(node)
 """
 
@@ -84,8 +89,9 @@ def measure(seconds: float) -> None:
     threading.Thread(target=executor.spin, daemon=True, name="spin").start()
     time.sleep(5.0)
     before, began, pairs = cpu_seconds(), time.monotonic(), pairs_of(node)
-    for step in range(10):
-        time.sleep(max(0.0, began + (step + 1) * seconds / 10 - time.monotonic()))
+    moments = {(step + 1) * seconds / 10 for step in range(10)} | {min(SETTLED_S, seconds)}
+    for moment in sorted(moments):
+        time.sleep(max(0.0, began + moment - time.monotonic()))
         print(f"{time.monotonic() - began:6.0f} s: {memory()}", flush=True)
     elapsed, pairs = time.monotonic() - began, pairs_of(node) - pairs
     spent = {name: cpu - before.get(name, 0.0) for name, cpu in cpu_seconds().items()}
@@ -102,7 +108,7 @@ def pairs_of(node: object) -> int:
 
 
 def cpu_seconds() -> dict[str, float]:
-    """Processor time of every thread by name; those of the fake cameras have none of Python's."""
+    """Processor time of every thread by name, but for those of the fake cameras."""
     ours = {thread.native_id: thread.name for thread in threading.enumerate()}
     ticks = os.sysconf("SC_CLK_TCK")
     times: dict[str, float] = {}
@@ -110,8 +116,7 @@ def cpu_seconds() -> dict[str, float]:
         name = ours.get(int(task.name)) or (task / "comm").read_text().strip()
         fields = (task / "stat").read_text().rsplit(")", 1)[1].split()
         times[name] = times.get(name, 0.0) + (int(fields[11]) + int(fields[12])) / ticks
-    # Threads without a name of their own carry that of the process: the fake cameras do.
-    times.pop(Path("/proc/self/comm").read_text().strip(), None)
+    times.pop(FAKE_THREAD, None)
     return times
 
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -168,3 +173,68 @@ def test_wrong_use_ends_with_one_line_and_code_2(
     assert error.startswith("replay_node: ")
     assert complaint in error
     assert "\n" not in error
+
+
+NODE = """
+import sys, threading
+from dataclasses import dataclass
+from thermal_stereo_vo.core.config import setting
+from thermal_stereo_vo.nodes import runtime
+
+@dataclass(frozen=True)
+class NoSettings:
+    count: int = setting(1, "Nothing.")
+
+class Stubborn(runtime.BaseNode[NoSettings]):
+    NAME, CONFIG, TOPICS = "stubborn", NoSettings, ""
+
+    def __init__(self):
+        super().__init__()
+        {begin}
+
+    def close(self):
+        {end}
+        print("closed", flush=True)
+
+runtime.stop_signals.__wrapped__.__defaults__ = ({limit_s},)
+sys.exit(runtime.run(Stubborn, ["stubborn"]))
+"""
+SAY_SO = "print('begun', flush=True)"
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "limit_s", "output", "error"),
+    [
+        pytest.param(SAY_SO, "pass", 600, "closed\n", "", id="waits"),
+        pytest.param(
+            f"{SAY_SO}; sys.stdin.readline()", "pass", 600, "closed\n", "", id="still begins"
+        ),
+        pytest.param(
+            f"{SAY_SO}; threading.Event().wait()", "pass", 0.5, "", "still busy", id="never begins"
+        ),
+        pytest.param(SAY_SO, "threading.Event().wait()", 0.5, "", "still busy", id="never closes"),
+        pytest.param(
+            f"{SAY_SO}; self.context.try_shutdown()", "pass", 600, "closed\n", "", id="by itself"
+        ),
+    ],
+)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_signal_ends_a_node_with_code_0_whatever_it_does(
+    tmp_path, begin: str, end: str, limit_s: float, output: str, error: str, number: int
+) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", NODE.format(begin=begin, end=end, limit_s=limit_s)],
+        cwd=Path(__file__).resolve().parents[2],
+        env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOG_DIR": str(tmp_path)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "begun\n"
+    process.send_signal(number)
+    said, complaint = process.communicate("go on\n", timeout=240)
+    assert (process.returncode, said) == (0, output), complaint
+    assert complaint.startswith(error)
+    assert bool(complaint) == bool(error)

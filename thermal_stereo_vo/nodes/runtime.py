@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import textwrap
@@ -9,7 +10,8 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import Enum
 from types import FrameType
@@ -37,6 +39,8 @@ Config = TypeVar("Config")
 
 NO_DATA_AFTER_S = 5.0
 STOP_CHECK_S = 0.2
+STOP_LIMIT_S = 8.0
+"""``ros2 launch`` kills a process ten seconds after Ctrl-C."""
 
 RELIABLE = QoSProfile(depth=10)
 """``/odom``, ``status``, camera_info: every message, in order."""
@@ -249,8 +253,11 @@ class BaseNode(Node, Generic[Config]):  # type: ignore[misc]
         """Stop threads and files; the node is about to go."""
 
     def fail(self, error: BaseException) -> None:
-        """End the process because of this error; may be called from any thread."""
-        self.failure = error
+        """End the process because of this error; may be called from any thread.
+
+        The first one counts: others may come of the end.
+        """
+        self.failure = self.failure or error
         self.context.try_shutdown()
 
     def refuse(self, error: ThermalStereoError) -> None:
@@ -312,21 +319,75 @@ def help_text(node_type: type[BaseNode[Any]]) -> str:
     return "\n".join(lines)
 
 
-def stop_signals() -> threading.Event:
-    """Set at the first Ctrl-C or SIGTERM; the second one ends the process at once.
+class StopRequest:
+    """Whether somebody wants the process to end.
+
+    No event: a signal handler may interrupt the very thread that holds the event's lock.
+    """
+
+    asked = False
+
+
+@contextmanager
+def stop_signals(limit_s: float = STOP_LIMIT_S) -> Iterator[StopRequest]:
+    """Asked at the first Ctrl-C or SIGTERM; the second one ends the process at once.
 
     An exception out of a signal handler may hit rclpy inside a call that cannot take it: the node
-    then ends with an error that is none, or never.  An event waits until the call is over.
+    then ends with an error that is none, or never.  A request waits until the call is over.  What
+    is still busy ``limit_s`` after the signal (a compiler, a driver that hangs) is left to itself,
+    and the process ends with code 0.
     """
-    stop = threading.Event()
+    stop, over = StopRequest(), threading.Event()
 
     def handler(number: int, frame: FrameType | None) -> None:
-        stop.set()
+        stop.asked = True
         signal.signal(number, signal.SIG_DFL)
 
+    def watch() -> None:
+        while not stop.asked:
+            if over.wait(STOP_CHECK_S):
+                return
+        if not over.wait(limit_s):
+            print(f"still busy {limit_s:g} s after the signal: left to itself", file=sys.stderr)
+            sys.stderr.flush()
+            os._exit(0)
+
+    # Started before any signal: a handler may interrupt the start of another thread.
+    threading.Thread(target=watch, name="stop", daemon=True).start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
-    return stop
+    try:
+        yield stop
+    finally:
+        over.set()
+
+
+def _spin(
+    node_type: type[BaseNode[Any]], argv: list[str], stop: StopRequest
+) -> BaseException | None:
+    """Run the node until ``stop`` or the end of its context; returns what went wrong."""
+    node: BaseNode[Any] | None = None
+    failure: BaseException | None = None
+    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    try:
+        node = node_type()
+        executor.add_node(node)
+        while not stop.asked:
+            executor.spin_once(timeout_sec=STOP_CHECK_S)
+    except ExternalShutdownException:
+        pass
+    except Exception as error:
+        # A node that ends itself shuts its context down: rclpy then fails in whatever it is doing.
+        failure = error if rclpy.ok() else None
+    finally:
+        executor.shutdown()
+        if node is not None:
+            failure = node.failure or failure
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return failure
 
 
 def run(node_type: type[BaseNode[Any]], args: Sequence[str] | None = None) -> int:
@@ -351,27 +412,8 @@ def run(node_type: type[BaseNode[Any]], args: Sequence[str] | None = None) -> in
             file=sys.stderr,
         )
         return 2
-    node: BaseNode[Any] | None = None
-    failure: BaseException | None = None
-    stop = stop_signals()
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    executor = SingleThreadedExecutor()
-    try:
-        node = node_type()
-        executor.add_node(node)
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=STOP_CHECK_S)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except Exception as error:
-        failure = error
-    finally:
-        executor.shutdown()
-        if node is not None:
-            failure = failure or node.failure
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
+    with stop_signals() as stop:
+        failure = _spin(node_type, argv, stop)
     if failure is None:
         return 0
     if isinstance(failure, ThermalStereoError):

@@ -467,6 +467,7 @@ static int device_ioctl(struct device *device, uint32_t request, void *argument)
       device->streaming = 1;
       device->sequence = 0;
       pthread_create(&device->thread, NULL, run, device);
+      pthread_setname_np(device->thread, "fake_v4l2");
       return 0;
     case VIDIOC_STREAMOFF:
       stream_off(device);
