@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,8 @@ from thermal_stereo_vo.capture.control_link import ControlConfig, ControlLink
 from thermal_stereo_vo.capture.ffc_policy import FfcConfig, FfcPolicy
 from thermal_stereo_vo.core.frames import FfcState
 
-CONFIG = ControlConfig(timeout_s=0.3, poll_period_s=0.02, reopen_s=0.05, stale_s=0.5)
+# Long enough that a busy machine does not pass for a silent camera.
+CONFIG = ControlConfig(timeout_s=10.0, poll_period_s=0.02, reopen_s=0.05, stale_s=120.0)
 DO_FFC, FFC_MODE = 0x0C, 0x0B
 
 
@@ -21,12 +23,13 @@ def connect():
     """Start the control of cameras under one policy; stopped after the test."""
     links = []
 
-    def start(cameras, settings=None, **ffc):
-        config = FfcConfig(**({"period_s": 0.0, "settle_s": 0.02, "duration_s": 0.1} | ffc))
+    def start(cameras, settings=None, control=CONFIG, **ffc):
+        defaults = {"period_s": 0.0, "settle_s": 0.02, "duration_s": 0.1, "limit_s": 60.0}
+        config = FfcConfig(**(defaults | ffc))
         policy = FfcPolicy(config, tuple(cameras), time.monotonic_ns())
         started = {
             name: ControlLink(
-                name, camera.port, CONFIG, settings or CameraSettings(), config, policy
+                name, camera.port, control, settings or CameraSettings(), config, policy
             )
             for name, camera in cameras.items()
         }
@@ -53,7 +56,8 @@ def telemetry(link):
 
 def test_what_the_camera_says_goes_out_with_the_frames(one, eventually):
     link, _ = one
-    eventually(lambda: telemetry(link) is not None and telemetry(link).fpa_temperature_kelvin)
+    eventually(lambda: link.status().fpa_temperature_kelvin is not None)
+    eventually(lambda: telemetry(link).ffc_state is not None)
     said = telemetry(link)
     assert said.fpa_temperature_kelvin == pytest.approx(298.45)
     assert said.housing_temperature_kelvin == pytest.approx(304.35)
@@ -89,18 +93,17 @@ def test_frames_are_marked_from_before_the_order_until_after_the_end(
 ):
     link, policy = one
     pty_camera.blocked_during_ffc = blocked
+    pty_camera.ffc_s = 0.5
     states = []
     policy.request("left")
-    began = time.monotonic()
-    while time.monotonic() - began < 5.0:
+
+    def complete():
         before, said, after = pty_camera.correcting, telemetry(link), pty_camera.correcting
-        if said is None:
-            continue
         states.append((before and after, said.ffc_state, said.time_since_ffc_ns))
-        if said.ffc_state is FfcState.COMPLETE:
-            break
-    assert states[-1][1] is FfcState.COMPLETE
-    assert states[-1][2] < 1e9
+        return said.ffc_state is FfcState.COMPLETE
+
+    eventually(complete, link.status)
+    assert 0 <= states[-1][2] < 60e9
     assert any(correcting for correcting, *_ in states)
     assert all(state is FfcState.IN_PROGRESS for correcting, state, _ in states if correcting)
     status = link.status()
@@ -133,20 +136,28 @@ def test_the_camera_s_own_correction_is_seen_in_its_flag(connect, pty_camera, ev
 
 
 def test_two_cameras_are_not_blind_at_once(connect, two_pty_cameras, eventually):
+    camera_ffc_s = two_pty_cameras["left"].ffc_s
     links, policy = connect(two_pty_cameras, separation_s=0.2)
     eventually(lambda: all(link.status().connected for link in links.values()))
     policy.request()
-    both_blind = 0
-    began = time.monotonic()
-    while any(link.status().ffc_count == 0 for link in links.values()):
-        both_blind += all(camera.correcting for camera in two_pty_cameras.values())
-        assert time.monotonic() - began < 10.0
-        time.sleep(0.002)
-    assert both_blind == 0
+    both_blind = []
+
+    def both_corrected():
+        both_blind.append(all(camera.correcting for camera in two_pty_cameras.values()))
+        return all(link.status().ffc_count for link in links.values())
+
+    eventually(both_corrected, lambda: [link.status() for link in links.values()])
+    assert not any(both_blind)
+    orders = {name: camera.ordered_s for name, camera in two_pty_cameras.items()}
+    assert all(len(moments) == 1 for moments in orders.values())
+    assert abs(orders["left"][0] - orders["right"][0]) >= camera_ffc_s + 0.2
 
 
-def test_silence_is_unknown_and_is_recovered_from(one, pty_camera, eventually):
-    link, _ = one
+def test_silence_is_unknown_and_is_recovered_from(connect, pty_camera, eventually):
+    impatient = replace(CONFIG, timeout_s=0.3, stale_s=0.5)
+    links, _ = connect({"left": pty_camera}, control=impatient)
+    link = links["left"]
+    eventually(lambda: link.status().connected, link.status)
     pty_camera.silent = True
     eventually(lambda: not link.status().connected, link.status)
     assert "does not answer" in link.status().reason

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import islice, pairwise
 
 import cv2
 import numpy as np
@@ -46,7 +46,9 @@ def bag(tmp_path, images):
 
 def config(recording, rate_hz=0.0):
     return StereoCaptureConfig(
-        source="recording", recording=FakeConfig(str(recording), rate_hz=rate_hz)
+        source="recording",
+        waiting_pairs=1000,
+        recording=FakeConfig(str(recording), rate_hz=rate_hz),
     )
 
 
@@ -55,9 +57,18 @@ def test_a_bag_plays_bit_for_bit_over_and_over(bag, images):
     with capture:
         pairs = list(islice(capture.pairs(), 9))
     assert calibration.baseline_m == pytest.approx(0.2)
-    for n, pair in enumerate(pairs):
-        for eye in EYES:
-            np.testing.assert_array_equal(pair.frames[eye].image, images[eye][n % 6])
+    played = []
+    for pair in pairs:
+        numbers = {
+            eye: [n for n in range(6) if np.array_equal(images[eye][n], frame.image)]
+            for eye, frame in pair.frames.items()
+        }
+        assert len(numbers["left"]) == 1
+        assert numbers["left"] == numbers["right"]
+        played += numbers["left"]
+    # A busy machine may tear a pair, which is thrown away then.
+    assert len(set(played)) > 2
+    assert all(0 < (b - a) % 6 < 4 for a, b in pairwise(played))
 
 
 def test_a_folder_of_images(tmp_path, images):
@@ -81,7 +92,7 @@ def test_the_node_plays_it_with_its_own_calibration(bag, images, start_node, eve
     from thermal_stereo_vo.nodes import conversions
 
     node = start_node(source="recording", recording__recording=bag)
-    eventually(lambda: len(node.heard["right/image_raw"]) > 8, node.said, limit_s=30.0)
+    eventually(lambda: len(node.heard["right/image_raw"]) > 8, node.said)
     known = {image.tobytes() for image in images["right"]}
     for message in list(node.heard["right/image_raw"]):
         assert conversions.image_from_msg(message).tobytes() in known
@@ -94,5 +105,5 @@ def test_the_end_of_a_recording_is_told(bag, start_node, eventually):
     node = start_node(
         source="recording", recording__recording=bag, recording__repeat=False, recording__speed=4.0
     )
-    eventually(lambda: "the recording is over" in node.health()[1], node.said, limit_s=30.0)
+    eventually(lambda: "the recording is over" in node.health()[1], node.said)
     assert node.health()[0] == ERROR

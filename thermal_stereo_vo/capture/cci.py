@@ -22,7 +22,6 @@ PROCESS_CODE = 0x6E
 MAX_DATA = 500
 _HEADER, _TRAILER = 8, 2
 _BUSY_PAUSE_S = 0.05
-_QUIET_S = 0.1
 
 
 class Function(IntEnum):
@@ -215,7 +214,7 @@ class CciPort:
         self._timeout_s = timeout_s
         self._reply_s = reply_s
         self._parser = ReplyParser()
-        self._late_reply_possible = False
+        self._unanswered = 0
 
     def call(
         self,
@@ -240,8 +239,8 @@ class CciPort:
             )
         function = Function(function)
         deadline_s = time.monotonic() + (self._timeout_s if timeout_s is None else timeout_s)
-        if self._late_reply_possible:
-            self._wait_for_quiet(deadline_s)
+        if self._unanswered and not self._caught_up(deadline_s):
+            raise _silence(function)
         status: Status | None = None
         while True:
             reply = self._exchange(function, data, deadline_s if not repeat else None, deadline_s)
@@ -260,15 +259,11 @@ class CciPort:
                 time.sleep(_BUSY_PAUSE_S)
         if status in (Status.BUSY, Status.NOT_READY):
             raise BusyError(f"the camera stays busy and does not execute {function.name}")
-        self._late_reply_possible = True
         if status is Status.CHECKSUM_ERROR:
             raise NoReplyError(
                 f"the camera receives {function.name} damaged: check the wiring of the control port"
             )
-        raise NoReplyError(
-            f"the camera does not answer {function.name}: check power, wiring and baud rate of "
-            "the control port"
-        )
+        raise _silence(function)
 
     def close(self) -> None:
         """Give the port back."""
@@ -279,21 +274,27 @@ class CciPort:
     ) -> Reply | None:
         self._parser.clear()
         self._write(encode(function, data))
+        self._unanswered += 1
         if until_s is None:
             until_s = min(deadline_s, time.monotonic() + self._reply_s)
         while time.monotonic() < until_s:
             for reply in self._parser.feed(self._read()):
                 if reply.function == function:
+                    self._unanswered -= 1
                     return reply
         return None
 
-    def _wait_for_quiet(self, deadline_s: float) -> None:
-        # An answer that comes late would pass for the answer to the next question.
-        quiet_s = time.monotonic() + _QUIET_S
-        while time.monotonic() < min(quiet_s, deadline_s - self._reply_s):
-            if self._read():
-                quiet_s = time.monotonic() + _QUIET_S
-        self._late_reply_possible = False
+    def _caught_up(self, deadline_s: float) -> bool:
+        """Let answers pass that are still to come, as after a correction that blocked the line.
+
+        An answer does not say what was asked of a sensor: a late one would pass for the next.  The
+        camera answers in order, so none is left once it has answered a NO_OP.
+        """
+        while time.monotonic() < deadline_s:
+            if self._exchange(Function.NO_OP, b"", None, deadline_s) is not None:
+                self._unanswered = 0
+                return True
+        return False
 
     def _read(self) -> bytes:
         try:
@@ -306,6 +307,13 @@ class CciPort:
             self._port.write(packet)
         except OSError as error:
             raise CameraControlError(f"the control port does not take data ({error})") from None
+
+
+def _silence(function: Function) -> NoReplyError:
+    return NoReplyError(
+        f"the camera does not answer {function.name}: check power, wiring and baud rate of the "
+        "control port"
+    )
 
 
 def _refusal(function: Function, data: bytes, status: int) -> RefusedError:

@@ -61,14 +61,14 @@ def pairs(node):
 
 def goes_on(node, eventually, more=10):
     wanted = pairs(node) + more
-    eventually(lambda: pairs(node) >= wanted, node.said, 30.0)
+    eventually(lambda: pairs(node) >= wanted, node.said)
 
 
 @pytest.mark.parametrize("pixel_format", ["Y16", "GREY"])
 def test_two_cameras_at_30_hz(start, eventually, pixel_format):
     formats = {f"grabbers__{eye}__pixel_format": pixel_format for eye in EYES}
     node = start(**formats)
-    eventually(lambda: pairs(node) > 45 and node.health()[0] != ERROR, node.said, 60.0)
+    eventually(lambda: pairs(node) > 45 and node.health()[0] != ERROR, node.said)
     check(node)
     for eye, height in zip(EYES, (480, 512), strict=True):
         messages = list(node.heard[f"{eye}/image_raw"])[5:]
@@ -87,7 +87,7 @@ def test_one_eye_is_unplugged_and_comes_back(start, eventually, right):
     node = start()
     goes_on(node, eventually)
     right.set("disconnect", 1)
-    eventually(lambda: values(node)["right_connections"] == "2", node.said, 30.0)
+    eventually(lambda: values(node)["right_connections"] == "2", node.said)
     goes_on(node, eventually)
     assert values(node)["left_failures"] == "0"
     assert int(values(node)["right_failures"]) >= 1
@@ -99,11 +99,11 @@ def test_both_are_unplugged_and_come_back_under_the_same_name(start, eventually,
     node = start()
     goes_on(node, eventually)
     unplug()
-    eventually(lambda: node.health()[0] == ERROR, node.said, 30.0)
+    eventually(lambda: node.health()[0] == ERROR, node.said)
     eventually(lambda: "no video device 'bus:platform:vivid-000'" in node.health()[1], node.said)
     before = pairs(node)
     plug()
-    eventually(lambda: pairs(node) > before + 10, node.said, 30.0)
+    eventually(lambda: pairs(node) > before + 10, node.said)
     eventually(lambda: node.health()[0] < ERROR, node.said)
     check(node)
 
@@ -112,7 +112,7 @@ def test_a_fatal_error_of_the_driver(start, eventually, left):
     node = start()
     goes_on(node, eventually)
     left.set("fatal", 1)
-    eventually(lambda: values(node)["left_failures"] == "1", node.said, 30.0)
+    eventually(lambda: values(node)["left_failures"] == "1", node.said)
     goes_on(node, eventually)
     assert values(node)["right_failures"] == "0"
     check(node)
@@ -122,9 +122,9 @@ def test_dropped_and_damaged_buffers(start, eventually, left):
     node = start()
     goes_on(node, eventually)
     left.set("damaged", 1)
-    eventually(lambda: values(node)["left_damaged"] == "1", node.said, 30.0)
+    eventually(lambda: values(node)["left_damaged"] == "1", node.said)
     left.set("percentage_dropped", 30)
-    eventually(lambda: int(values(node)["left_lost"] or 0) >= 5, node.said, 30.0)
+    eventually(lambda: int(values(node)["left_lost"] or 0) >= 5, node.said)
     eventually(lambda: "left: " in node.health()[1], node.said)
     assert node.health()[0] == WARN
     assert "frames were lost or damaged" in node.health()[1]
@@ -136,7 +136,7 @@ def test_sequence_and_stamps_wrap(start, eventually, left, right):
     left.set("sequence_wrap", 1)  # the count starts 128 frames before the wrap
     right.set("stamp_wrap", 1)  # stamps start 16 s before the wrap of 64 bits
     node = start()
-    eventually(lambda: int(values(node)["left_frames"] or 0) > 160, node.said, 30.0)
+    eventually(lambda: int(values(node)["left_frames"] or 0) > 160, node.said)
     assert int(values(node)["left_lost"]) < 5
     assert int(values(node)["right_by_arrival"]) > 100
     assert "stamps of the driver were far from the present" in node.health()[1]
@@ -147,7 +147,7 @@ def test_no_signal(start, eventually, right):
     node = start()
     goes_on(node, eventually)
     right.set("signal", 1)
-    eventually(lambda: "right: no signal" in node.health()[1], node.said, 30.0)
+    eventually(lambda: "right: no signal" in node.health()[1], node.said)
     assert node.health()[0] == ERROR
     before, lefts = pairs(node), len(node.heard["left/image_raw"])
     eventually(lambda: len(node.heard["left/image_raw"]) > lefts + 20, node.said)
@@ -160,7 +160,7 @@ def test_no_signal(start, eventually, right):
 def test_a_busy_device_is_waited_for(start, eventually, right, another_program):
     release = another_program(right)
     node = start()
-    eventually(lambda: "in use by another program" in node.health()[1], node.said, 30.0)
+    eventually(lambda: "in use by another program" in node.health()[1], node.said)
     assert node.health()[0] == ERROR
     assert values(node)["left_state"] == "streaming"
     release()

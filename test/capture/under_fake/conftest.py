@@ -59,8 +59,9 @@ class FakeDevice:
             "width": self.control.width,
             "height": self.control.height,
             "settling_frames": 0,
-            "timeout_s": 2.0,
-            "start_timeout_s": 2.0,
+            # A busy machine may stop everything for a while: that is no stall of the camera.
+            "timeout_s": 60.0,
+            "start_timeout_s": 60.0,
         }
         return StreamConfig(**(settings | changes))
 

@@ -48,6 +48,11 @@ def flowing(frames, eventually, link, more=3):
     eventually(lambda: len(frames) >= wanted, link.status)
 
 
+def age_ns(frames):
+    """What the newest stamp lags behind the present."""
+    return time.time_ns() - frames[-1].stamp_ns
+
+
 def check(frames):
     """What must hold for the frames of a camera whatever happened to it."""
     assert all(b.stamp_ns > a.stamp_ns for a, b in pairwise(frames))
@@ -59,7 +64,7 @@ def test_frames_have_ros_stamps_sequence_and_telemetry(connect, eventually):
     link, frames = connect()
     eventually(lambda: len(frames) > 30, link.status)
     check(frames)
-    assert abs(frames[-1].stamp_ns - time.time_ns()) < 2e9
+    eventually(lambda: abs(age_ns(frames)) < 0.1e9, link.status)
     assert frames[0].telemetry.fpa_temperature_kelvin == 300.0
     assert frames[0].camera == "left"
     assert not frames[0].image.flags.writeable
@@ -68,15 +73,15 @@ def test_frames_have_ros_stamps_sequence_and_telemetry(connect, eventually):
     assert status.reason == ""
     assert status.stamp_kind is StampKind.END_OF_FRAME
     assert str(status.format) == "Y16 64x48 at 200 Hz from fake grabber"
-    assert 50 < status.rate_hz < 250
+    eventually(lambda: 50 < link.status().rate_hz < 250, link.status)
 
 
 def test_the_stamp_is_that_of_the_driver_plus_the_offset(connect, left, eventually):
     left.control.stamp_shift_ns = -200_000_000
     link, frames = connect(stamp_offset_ms=-300.0)
     flowing(frames, eventually, link)
-    age_ns = time.time_ns() - frames[-1].stamp_ns
-    assert 500e6 <= age_ns < 2e9
+    # Older only while the machine keeps a frame waiting.
+    eventually(lambda: 500e6 <= age_ns(frames) < 600e6, link.status)
 
 
 def test_settling_frames_are_dropped_after_each_start(connect, eventually):
@@ -98,6 +103,7 @@ def test_damaged_and_short_frames_are_dropped_and_counted(connect, left, eventua
     left.control.short_bytes = 100
     eventually(lambda: link.status().counters.short == 1, link.status)
     flowing(frames, eventually, link)
+    link.stop()
     counters = link.status().counters
     assert counters.dropped >= 4
     assert counters.failures == 0
@@ -123,7 +129,7 @@ def test_a_wrap_of_the_sequence_is_no_gap(connect, left, eventually):
     flowing(frames, eventually, link, more=20)
     check(frames)
     # The jump of the fake's counter itself looks like a restart, not like four billion frames.
-    assert link.status().counters.lost < 100
+    assert link.status().counters.lost < 100_000
 
 
 def test_a_wrap_of_the_stamps_is_survived_with_stamps_of_arrival(connect, left, eventually):
@@ -135,8 +141,8 @@ def test_a_wrap_of_the_stamps_is_survived_with_stamps_of_arrival(connect, left, 
         eventually(lambda b=before: link.status().counters.by_arrival > b + 3, link.status)
     left.control.stamp_shift_ns = 0
     flowing(frames, eventually, link)
+    eventually(lambda: abs(age_ns(frames)) < 0.1e9, link.status)
     check(frames)
-    assert abs(frames[-1].stamp_ns - time.time_ns()) < 2e9
 
 
 def test_a_driver_without_monotonic_stamps_is_told(connect, left, eventually):
@@ -151,7 +157,7 @@ def test_a_driver_without_monotonic_stamps_is_told(connect, left, eventually):
     ("fault", "reason", "stalls"),
     [
         ({"stalled": 1}, "sent nothing for 0.15 s: check cable and camera", 1),
-        ({"eio": 1}, "fatal error of its stream", 0),
+        ({"eio": 10**9}, "fatal error of its stream", 0),
         ({"damaged": 10**9}, "damaged frames only for 0.15 s", 1),
     ],
     ids=str,
@@ -184,11 +190,11 @@ def test_unplug_and_replug(connect, left, eventually):
     eventually(lambda: link.status().counters.failures > failures + 2, link.status)
     assert len(frames) == seen
     assert link.status().rate_hz == 0.0
-    left.control.next_sequence = 5000
+    left.control.next_sequence = 10**9
     left.control.unplugged = 0
     flowing(frames, eventually, link)
     assert link.status().reason == ""
-    assert link.status().counters.lost < 1000
+    assert link.status().counters.lost < 100_000
     check(frames)
 
 

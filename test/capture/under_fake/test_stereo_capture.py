@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import threading
-import time
 from itertools import groupby, islice, pairwise
 from pathlib import Path
 
@@ -41,7 +40,7 @@ class Reader:
         return [pair for pair in self.pairs if pair.complete]
 
     def join(self):
-        self._thread.join(5.0)
+        self._thread.join(240.0)
         assert not self._thread.is_alive()
 
 
@@ -54,7 +53,7 @@ def stereo(left, right):
         tolerance_ms=2.6,
         ports=(),
         sync=None,
-        waiting_pairs=100,
+        waiting_pairs=10_000,
         read=True,
         max_waiting=4,
         **changes,
@@ -64,9 +63,9 @@ def stereo(left, right):
             right=right.config(**changes),
             recovery=RecoveryConfig(first_wait_s=0.02, longest_wait_s=0.05),
             control=ControlConfig(
-                *(ports or ("", "")), timeout_s=0.3, poll_period_s=0.02, reopen_s=0.05
+                *(ports or ("", "")), timeout_s=10.0, poll_period_s=0.02, reopen_s=0.05
             ),
-            ffc=FfcConfig(period_s=0.0, settle_s=0.02, duration_s=0.1),
+            ffc=FfcConfig(period_s=0.0, settle_s=0.02, duration_s=0.1, limit_s=60.0),
         )
         capture = StereoCapture(
             GrabberRig(config),
@@ -118,14 +117,18 @@ def test_the_skew_is_measured_and_judged(stereo, left, right, eventually):
     right.control.stamp_shift_ns = round((-20 - phase_ms) * MS)
     eventually(lambda: abs(capture.status().sync.skew_ms) < 0.3, capture.status)
     assert capture.status().sync.warning == ""
-    # The fakes stamp when the machine wakes them: only far less than a period can be asked.
     assert capture.status().sync.spread_ms < 10.0
 
 
 def test_frames_that_find_no_partner_are_dropped_and_counted(stereo, left, right, eventually):
     capture, reader = stereo(tolerance_ms=0.0)
-    eventually(lambda: capture.status().counters.unpaired > 20, capture.status)
-    assert len(reader.pairs) <= 2
+    eventually(lambda: capture.status().counters.unpaired > 5, capture.status)
+    # One eye may have streamed before the other, alone.
+    alone = capture.status().counters.alone
+    eventually(lambda: capture.status().counters.unpaired > 40, capture.status)
+    counters = capture.status().counters
+    assert (counters.pairs, counters.alone) == (0, alone)
+    eventually(lambda: len(reader.pairs) == alone, capture.status)
     check(reader.pairs)
 
 
@@ -139,9 +142,11 @@ def test_a_lost_eye_does_not_stop_the_other_and_makes_no_half_pair(stereo, right
         return captured - 2 * counters.pairs - counters.alone - counters.unpaired
 
     eventually(lambda: len(reader.complete()) > 10, capture.status)
+    alone = capture.status().counters.alone
     right.control.unplugged = 1
-    eventually(lambda: capture.status().counters.alone > 20, capture.status)
+    eventually(lambda: capture.status().counters.alone > alone + 20, capture.status)
     eventually(lambda: held_back() <= 3, capture.status)
+    eventually(lambda: len(reader.pairs) - len(reader.complete()) > alone + 20, capture.status)
     while_lost = reader.pairs[-10:]
     assert all(set(pair.frames) == {"left"} for pair in while_lost)
     assert all(pair.skew_ns == 0 for pair in while_lost)
@@ -168,25 +173,27 @@ def test_reconnect_opens_both_anew(stereo, eventually):
 
 def test_a_slow_reader_gets_the_newest_pairs(stereo, eventually):
     capture, reader = stereo(waiting_pairs=2)
-    hold = threading.Event()
-    reader.pairs = Slow(hold)
-    eventually(lambda: capture.status().counters.overrun > 10, capture.status)
-    now_ns = time.time_ns()
-    hold.set()
-    eventually(lambda: len(reader.pairs) > 5, capture.status)
-    check(list(reader.pairs))
-    assert reader.pairs[1].stamp_ns > now_ns - 2_000 * MS
+    slow = Slow()
+    reader.pairs = slow
+    eventually(slow.holding.is_set, capture.status)
+    overrun = capture.status().counters.overrun
+    eventually(lambda: capture.status().counters.overrun >= overrun + 10, capture.status)
+    slow.go.set()
+    eventually(lambda: len(slow) > 5, capture.status)
+    check(list(slow))
+    assert slow[1].stamp_ns - slow[0].stamp_ns > 20 * MS
 
 
 class Slow(list):
     """Holds its first element back."""
 
-    def __init__(self, event):
+    def __init__(self):
         super().__init__()
-        self._event = event
+        self.holding, self.go = threading.Event(), threading.Event()
 
     def append(self, item):
-        self._event.wait(10.0)
+        self.holding.set()
+        assert self.go.wait(240.0)
         super().append(item)
 
 
@@ -198,18 +205,23 @@ def test_telemetry_and_corrections_of_each_camera(stereo, two_pty_cameras, event
         return {telemetry.ffc_state for telemetry in said if telemetry is not None}
 
     eventually(lambda: states("left") and states("right"), capture.status)
+    for camera in two_pty_cameras.values():
+        camera.ffc_s = 0.5
     two_pty_cameras["right"].sensors[0] = 311
     capture.inhibit_ffc(True)
     assert capture.status().ffc_inhibited
     capture.inhibit_ffc(False)
     assert not capture.status().ffc_inhibited
     capture.do_ffc()
-    eventually(
-        lambda: FfcState.COMPLETE in states("left") & states("right"), capture.status, limit_s=15.0
-    )
+    eventually(lambda: FfcState.COMPLETE in states("left") & states("right"), capture.status)
     assert FfcState.IN_PROGRESS in states("left") & states("right")
-    kelvin = reader.pairs[-1].frames["right"].telemetry.fpa_temperature_kelvin
-    assert kelvin == pytest.approx(304.25)
+    eventually(
+        lambda: any(
+            said is not None and said.fpa_temperature_kelvin == pytest.approx(304.25)
+            for said in (pair.frames["right"].telemetry for pair in reader.complete()[-50:])
+        ),
+        capture.status,
+    )
     for pair in reader.pairs:
         blind = [
             frame.telemetry is not None and frame.telemetry.ffc_state is FfcState.IN_PROGRESS
@@ -227,11 +239,10 @@ def test_without_control_ports_corrections_are_refused(stereo):
 
 def test_frames_come_left_before_right(stereo):
     capture, _ = stereo(read=False)
-    frames = list(islice(capture.frames(), 40))
-    by_stamp = [list(group) for _, group in groupby(frames, key=lambda frame: frame.stamp_ns)]
-    pairs = [[frame.camera for frame in group] for group in by_stamp if len(group) > 1]
-    assert len(pairs) > 15
-    assert all(pair == ["left", "right"] for pair in pairs)
+    by_stamp = groupby(capture.frames(), key=lambda frame: frame.stamp_ns)
+    together = ([frame.camera for frame in group] for _, group in by_stamp)
+    pairs = list(islice((cameras for cameras in together if len(cameras) > 1), 15))
+    assert pairs == [["left", "right"]] * 15
 
 
 def test_five_minutes_worth_of_frames_leave_nothing_behind(stereo, left, right, eventually):
@@ -246,11 +257,9 @@ def test_five_minutes_worth_of_frames_leave_nothing_behind(stereo, left, right, 
         right.control.damaged = 20
         if target == 4500:
             right.control.unplugged = 1
-            eventually(lambda: not capture.status().cameras["right"].link.rate_hz, limit_s=10.0)
+            eventually(lambda: not capture.status().cameras["right"].link.rate_hz)
             right.control.unplugged = 0
-        eventually(
-            lambda t=target: capture.status().counters.pairs >= t, capture.status, limit_s=60.0
-        )
+        eventually(lambda t=target: capture.status().counters.pairs >= t, capture.status)
     after = _resources()
     assert after["descriptors"] <= before["descriptors"]
     assert after["threads"] <= before["threads"]

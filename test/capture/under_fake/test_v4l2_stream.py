@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import gc
-import time
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,9 @@ from thermal_stereo_vo.core.errors import CaptureError
 START_OF_FRAME = 0x10000
 
 
-def take(stream, limit_s=2.0):
+def take(stream):
     """The next buffer."""
-    deadline = time.monotonic() + limit_s
-    while time.monotonic() < deadline:
+    for _ in range(1000):
         if stream.wait(0.1) and (grab := stream.take()) is not None:
             return grab
     pytest.fail("no buffer came")
@@ -144,9 +142,9 @@ def test_what_is_no_video_device_is_refused(tmp_path):
 
 
 def test_damaged_and_short_buffers_carry_no_image(left):
+    left.control.damaged = 1
+    left.control.short_bytes = 64 * 48 * 2 - 1
     with V4l2Stream(left.path, left.config()) as stream:
-        left.control.damaged = 1
-        left.control.short_bytes = 64 * 48 * 2 - 1
         grabs = [take(stream) for _ in range(6)]
     faults = [grab.fault for grab in grabs if grab.image is None]
     # The fake puts both on one buffer: the driver's own flag goes first.
@@ -170,7 +168,7 @@ def test_stamps_and_their_kind(left):
         grabs = [take(stream) for _ in range(10)]
         assert {grab.stamp_kind for grab in grabs} == {StampKind.END_OF_FRAME}
         for grab in grabs:
-            assert 0 <= grab.arrival_ns - grab.driver_ns < 1e9
+            assert 0 <= grab.arrival_ns - grab.driver_ns < 60e9
         steps_ns = np.diff([grab.driver_ns for grab in grabs])
         counts = np.diff([grab.sequence for grab in grabs])
         np.testing.assert_allclose(steps_ns / counts, 5e6, atol=2e3)
@@ -182,10 +180,11 @@ def test_stamps_and_their_kind(left):
         assert kinds[-1] is StampKind.UNKNOWN_CLOCK
 
 
-def test_a_slow_reader_loses_frames_but_not_their_count(left):
+def test_a_slow_reader_loses_frames_but_not_their_count(left, eventually):
     with V4l2Stream(left.path, left.config(buffers=4)) as stream:
         take(stream)
-        time.sleep(0.2)
+        produced = left.control.produced
+        eventually(lambda: left.control.produced > produced + 40)
         sequences = [take(stream).sequence for _ in range(8)]
     assert max(np.diff(sequences)) > 20
 
