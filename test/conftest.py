@@ -6,15 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from .textured_room import TexturedRoom
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED_DATA = REPOSITORY.parent / "shared" / "data"
 
-# No deadline: the first call of a kernel compiles it.
-settings.register_profile("thermal_stereo_vo", deadline=None, print_blob=True)
+# No deadline: the first call of a kernel compiles it, and a machine may be busy.
+settings.register_profile(
+    "thermal_stereo_vo",
+    deadline=None,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("thermal_stereo_vo")
 
 

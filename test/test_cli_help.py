@@ -22,7 +22,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
 
 
@@ -44,7 +44,7 @@ print("HEAVY", sorted(set({HEAVY!r}) & set(sys.modules)))
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
     assert run.returncode == 0, run.stderr
     assert f"usage: python3 -m thermal_stereo_vo {verb}" in run.stdout

@@ -123,7 +123,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         capture_output=True,
         text=True,
         check=False,
-        timeout=240,
+        timeout=600,
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "1 package finished" in run.stdout
@@ -162,7 +162,7 @@ def test_installed_executables_start(installed: Path) -> None:
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=600,
         )
         assert run.returncode == 0, run.stderr
         assert f"ros2 run {NAME} {name}" in run.stdout

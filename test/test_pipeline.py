@@ -296,6 +296,6 @@ def test_warm_up_leaves_nothing_to_compile(window, deep):
         capture_output=True,
         text=True,
         check=False,
-        timeout=250,
+        timeout=800,
     )
     assert run.returncode == 0, run.stderr

@@ -53,7 +53,7 @@ def main() -> None:
         devices = (f"{folder / eye}={folder / eye}.control" for eye in ("left", "right"))
         environment = {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": "98",
+            "ROS_DOMAIN_ID": "101",
             **os.environ,
         }
         listener = subprocess.Popen([sys.executable, "-c", LISTENER], env=environment)

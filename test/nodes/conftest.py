@@ -160,7 +160,7 @@ class Ros:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
         for name, process, _ in self._processes:
-            code = process.wait(timeout=60)
+            code = process.wait(timeout=PATIENCE_S)
             assert code == 0, f"{name} left {code} after Ctrl-C\n{self.logs()}"
 
 

@@ -24,7 +24,7 @@ def test_a_short_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert benchmark_onboard.main(arguments) == 0
     figures = json.loads(path.read_text())
     assert figures["pairs_sent"] == 10
-    assert 1.7 < figures["seconds"] < 60.0
+    assert 1.7 < figures["seconds"] < 600.0
     assert 1 <= figures["poses"] <= figures["pairs_answered"] <= 10
     latency = figures["latency_ms"]
     assert 0.5 < latency["median"] <= latency["p95"] <= latency["max"]

@@ -36,7 +36,7 @@ class Recorder:
     def job(self, number: int, *, last: bool = False):
         def work() -> None:
             self.started.set()
-            assert self.go.wait(60)
+            assert self.go.wait(600)
             self.done.append(number)
             if last:
                 self.finished.set()
@@ -45,12 +45,12 @@ class Recorder:
 
     def run(self, worker: Worker, jobs: list[tuple[int, bool]]) -> None:
         worker.submit(self.job(0), frame=True)
-        assert self.started.wait(60)
+        assert self.started.wait(600)
         for number, frame in jobs:
             worker.submit(self.job(number), frame=frame)
         worker.submit(self.job(99, last=True))
         self.go.set()
-        assert self.finished.wait(60)
+        assert self.finished.wait(600)
         worker.close()
 
 
@@ -81,7 +81,7 @@ def test_an_error_in_a_job_reaches_the_node() -> None:
 
     worker = Worker(newest_only=False, on_error=on_error)
     worker.submit(lambda: 1 // 0)
-    assert arrived.wait(60)
+    assert arrived.wait(600)
     worker.close()
     assert isinstance(errors[0], ZeroDivisionError)
 
@@ -234,7 +234,7 @@ def test_one_signal_ends_a_node_with_code_0_whatever_it_does(
     assert process.stdout is not None
     assert process.stdout.readline() == "begun\n"
     process.send_signal(number)
-    said, complaint = process.communicate("go on\n", timeout=240)
+    said, complaint = process.communicate("go on\n", timeout=600)
     assert (process.returncode, said) == (0, output), complaint
     assert complaint.startswith(error)
     assert bool(complaint) == bool(error)

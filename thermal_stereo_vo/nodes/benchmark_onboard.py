@@ -9,7 +9,6 @@ import argparse
 import itertools
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -46,7 +45,9 @@ LATENCY_GOAL_MS = 60.0
 SETTLING_S = 10.0
 READY_S = 300.0
 """For a machine that compiles every kernel."""
-LAST_ANSWER_S = 3.0
+LAST_ANSWER_S = 30.0
+DOMAIN = 101
+"""The last that is free on every system; the tests take those below."""
 QOS = QoSProfile(depth=1000)
 NODE = "thermal_stereo_vo.nodes.onboard_node"
 
@@ -116,13 +117,12 @@ def benchmark_onboard(
 
     Raises OnboardBenchmarkError when the node ends or does not get ready.
     """
-    domain = 1 + random.SystemRandom().randrange(100)
     pairs = round(seconds * rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "node.log"
-        node = _start_node(domain, log, [f"latency_window:={max(pairs, 1)}", *parameters])
+        node = _start_node(log, [f"latency_window:={max(pairs, 1)}", *parameters])
         context = rclpy.Context()
-        rclpy.init(args=[], context=context, domain_id=domain)
+        rclpy.init(args=[], context=context, domain_id=DOMAIN)
         try:
             feeder = _Feeder(context, rig, frames)
             feeder.wait_until_ready(node, log)
@@ -133,7 +133,7 @@ def benchmark_onboard(
             node.wait()
 
 
-def _start_node(domain: int, log: Path, parameters: Sequence[str]) -> subprocess.Popen[bytes]:
+def _start_node(log: Path, parameters: Sequence[str]) -> subprocess.Popen[bytes]:
     arguments = [text for parameter in parameters for text in ("-p", parameter)]
     with log.open("wb") as stream:
         return subprocess.Popen(
@@ -144,7 +144,7 @@ def _start_node(domain: int, log: Path, parameters: Sequence[str]) -> subprocess
                 "--ros-args",
                 *arguments,
             ],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+            env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},
             stdout=stream,
             stderr=subprocess.STDOUT,
         )
@@ -210,7 +210,8 @@ class _Feeder:
                 memory_mb.append((now_s, resident_mb(process.pid)))
         seconds = time.monotonic() - start_s
         cpu_s = processor_s(process.pid) - start_cpu_s
-        self._spin_while(lambda: bool(self._sent - self._answered))
+        # Older pairs may have been dropped, the newest is answered.
+        self._spin_while(lambda: max(self._sent) not in self._answered)
         self._of_node = {}
         self._spin_while(lambda: not self._of_node)
         memory_mb.append((seconds, resident_mb(process.pid)))
