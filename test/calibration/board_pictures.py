@@ -10,18 +10,21 @@ from thermal_stereo_vo.calibration.targets import Target
 from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.transforms import exp_so3, inverse, make_transform
 
+_SAMPLES = 13
+
 
 class BoardStage:
     """A camera before which boards are held."""
 
-    def __init__(self, camera: Camera, oversampling: int = 3) -> None:
+    def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self._n = oversampling
-        offsets = (np.arange(oversampling) + 0.5) / oversampling - 0.5
-        x = (np.arange(camera.width)[:, None] + offsets).ravel()
-        y = (np.arange(camera.height)[:, None] + offsets).ravel()
-        gx, gy = np.meshgrid(x, y)
-        self._rays = camera.unproject(np.column_stack([gx.ravel(), gy.ravel()]))
+        # A Fibonacci lattice: 13 samples a pixel at 13 different x and 13 different y, so that no
+        # edge along rows or columns is placed in coarse steps.
+        k = np.arange(_SAMPLES)
+        dx, dy = (k + 0.5) / _SAMPLES - 0.5, (8 * k % _SAMPLES + 0.5) / _SAMPLES - 0.5
+        y, x = np.mgrid[: camera.height, : camera.width]
+        x, y = x[:, :, None] + dx, y[:, :, None] + dy
+        self._rays = camera.unproject(np.column_stack([x.ravel(), y.ravel()]))
 
     def picture(
         self,
@@ -56,8 +59,8 @@ class BoardStage:
         radius = 0.3 * np.linalg.norm(high - low)
         distance = np.sum((xy - middle) ** 2, axis=1) / radius**2
         counts = counts + np.where(on_board, hot_spot * np.exp(-0.5 * distance), 0.0)
-        n, (width, height) = self._n, self.camera.size
-        image = counts.reshape(height, n, width, n).mean((1, 3))
+        width, height = self.camera.size
+        image = counts.reshape(height, width, _SAMPLES).mean(2)
         image = cv2.GaussianBlur(image, (0, 0), blur_px) + rng.normal(0.0, noise, image.shape)
         return np.clip(np.rint(image), 0, 16383).astype(np.uint16)
 

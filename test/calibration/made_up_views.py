@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from thermal_stereo_vo.calibration.bundle import Observation
 from thermal_stereo_vo.calibration.targets import Target
 from thermal_stereo_vo.calibration.views import BoardShot, BoardView
 from thermal_stereo_vo.core.cameras import Camera, DistortionModel
@@ -66,3 +69,14 @@ def made_up_shots(
         shots.append(BoardShot(f"{k:02d}", {r: v for r, v in views.items() if v is not None}))
         poses.append(T)
     return shots, poses
+
+
+def observations_of(target: Target, shots: Sequence[BoardShot]) -> list[Observation]:
+    """All views of the left (camera 0) and the right eye (camera 1) for ``solve``."""
+    points = target.points_m
+    return [
+        Observation(v, c, points[view.ids], view.pixels, np.ones(len(view)))
+        for v, shot in enumerate(shots)
+        for c, role in enumerate(("left", "right"))
+        if (view := shot.views.get(role)) is not None
+    ]

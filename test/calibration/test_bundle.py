@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thermal_stereo_vo.calibration.bundle import Observation, Prior, Rig, place_covariance, solve
+from thermal_stereo_vo.calibration.bundle import Prior, Rig, place_covariance, solve
 from thermal_stereo_vo.calibration.lenses import Lens, from_camera
 from thermal_stereo_vo.calibration.targets import parse_target
 from thermal_stereo_vo.core.transforms import exp_se3, inverse, log_se3, log_so3
 
-from .made_up_views import LEFT, RIGHT, T_RIGHT_LEFT, made_up_shots
+from .made_up_views import LEFT, RIGHT, T_RIGHT_LEFT, made_up_shots, observations_of
 
 TARGET = parse_target("chessboard:9x6:0.04")
 
@@ -21,16 +21,6 @@ def true_rig(poses):
         (np.eye(4), T_RIGHT_LEFT),
         tuple(poses),
     )
-
-
-def observations_of(shots):
-    points = TARGET.points_m
-    return [
-        Observation(v, c, points[view.ids], view.pixels, np.ones(len(view)))
-        for v, shot in enumerate(shots)
-        for c, role in enumerate(("left", "right"))
-        if (view := shot.views.get(role)) is not None
-    ]
 
 
 def shaken(rig, rng):
@@ -50,7 +40,7 @@ def shaken(rig, rng):
 
 def test_recovers_the_truth_without_noise(rng):
     shots, poses = made_up_shots(TARGET, 8, rng, noise_px=0.0)
-    solution = solve(shaken(true_rig(poses), rng), observations_of(shots))
+    solution = solve(shaken(true_rig(poses), rng), observations_of(TARGET, shots))
     for found, true in zip(solution.rig.parameters, true_rig(poses).parameters, strict=True):
         np.testing.assert_allclose(found, true, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(solution.rig.T_camera_reference[1], T_RIGHT_LEFT, atol=1e-7)
@@ -63,7 +53,7 @@ def test_uncertainty_is_honest(rng):
     for _ in range(25):
         shots, poses = made_up_shots(TARGET, 7, rng, noise_px=0.2)
         rig = true_rig(poses)
-        solution = solve(rig, observations_of(shots))
+        solution = solve(rig, observations_of(TARGET, shots))
         step = np.concatenate(
             [
                 *(f - t for f, t in zip(solution.rig.parameters, rig.parameters, strict=True)),
@@ -79,7 +69,7 @@ def test_uncertainty_is_honest(rng):
 def test_eliminating_the_boards_equals_the_whole_system(rng):
     """Schur complement against the dense normal equations from numeric derivatives."""
     shots, poses = made_up_shots(TARGET, 3, rng, noise_px=0.05)
-    observations = observations_of(shots)
+    observations = observations_of(TARGET, shots)
     solution = solve(true_rig(poses), observations)
     rig = solution.rig
 
@@ -105,8 +95,8 @@ def test_eliminating_the_boards_equals_the_whole_system(rng):
 
 def test_views_of_one_camera_help_its_lens_only(rng):
     shots, poses = made_up_shots(TARGET, 12, rng, noise_px=0.2)
-    few = [o for o in observations_of(shots) if o.view < 5]
-    more = few + [o for o in observations_of(shots) if o.view >= 5 and o.camera == 0]
+    few = [o for o in observations_of(TARGET, shots) if o.view < 5]
+    more = few + [o for o in observations_of(TARGET, shots) if o.view >= 5 and o.camera == 0]
     a, b = solve(true_rig(poses), few).covariance, solve(true_rig(poses), more).covariance
     rig = true_rig(poses)
     left, right = rig.lens_slice(0), rig.lens_slice(1)
@@ -116,7 +106,7 @@ def test_views_of_one_camera_help_its_lens_only(rng):
 
 def test_one_wrong_corner_does_not_matter(rng):
     shots, poses = made_up_shots(TARGET, 8, rng, noise_px=0.1)
-    observations = observations_of(shots)
+    observations = observations_of(TARGET, shots)
     clean = solve(true_rig(poses), observations).rig.parameters[0]
     spoilt = observations[0].pixels.copy()
     spoilt[7] += (15.0, -9.0)
@@ -132,8 +122,8 @@ def test_prior_holds_a_lens_that_views_do_not_determine(rng):
     mean = rig.parameters[0]
     covariance = np.diag(np.array([0.5, 0.5, 0.5, 0.5, 1e-3, 1e-3, 1e-4, 1e-4]) ** 2)
     prior = Prior(((mean, covariance), None), np.zeros(0))
-    held = solve(shaken(rig, rng), observations_of(shots), prior=prior)
-    free = solve(rig, observations_of(shots))
+    held = solve(shaken(rig, rng), observations_of(TARGET, shots), prior=prior)
+    free = solve(rig, observations_of(TARGET, shots))
     left = rig.lens_slice(0)
     assert np.sqrt(held.covariance[left, left][0, 0]) < 0.6
     assert np.sqrt(free.covariance[left, left][0, 0]) > 2.0

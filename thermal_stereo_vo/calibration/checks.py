@@ -109,6 +109,24 @@ def _epipolar(errors: StereoErrors) -> float:
     return 0.5 * (errors.epipolar_12_px + errors.epipolar_21_px)
 
 
+def _behind(sound: Mapping[str, StereoErrors]) -> str:
+    """Which mistake put the points behind the cameras: the one that explains them best undone."""
+    advice = {
+        "eyes swapped": "exchange the left and the right images (or cameras)",
+        "motion inverted": "the file gives the motion from right to left: invert it",
+        "translation reversed": "turn the sign of the translation",
+    }
+    # Eyes of like lenses cannot tell an inverted motion from exchanged images: name both then.
+    best_px = min((_epipolar(sound[name]) for name in advice if name in sound), default=0.0)
+    likely = [n for n in advice if n in sound and _epipolar(sound[n]) <= 1.2 * best_px + 0.02]
+    if not likely:
+        return "the points come out behind the cameras: the motion is wrong"
+    return (
+        f"{' or '.join(likely)}: the points come out behind the cameras, and in front with this "
+        f"undone; {', or '.join(advice[name] for name in likely)}"
+    )
+
+
 def _findings(
     errors: StereoErrors, alternatives: Mapping[str, StereoErrors], T: Array, target: Target
 ) -> list[str]:
@@ -120,21 +138,7 @@ def _findings(
         if other.in_front > 0.9 and _epipolar(other) < max(2.0 * usual_px, 1.0)
     }
     if errors.in_front < 0.5:
-        for name, advice in (
-            ("eyes swapped", "exchange the left and the right images (or cameras)"),
-            ("motion inverted", "the file gives the motion from right to left: invert it"),
-            ("translation reversed", "turn the sign of the translation"),
-        ):
-            if name in sound:
-                found.append(
-                    f"{name}: the points come out behind the cameras, and in front with this "
-                    "undone; "
-                    f"{advice}"
-                )
-                break
-        else:
-            found.append("the points come out behind the cameras: the motion is wrong")
-        return found
+        return [_behind(sound)]
     transposed = alternatives["rotation transposed"]
     if _epipolar(transposed) < _MUCH_BETTER * usual_px and usual_px > 0.5:
         found.append(

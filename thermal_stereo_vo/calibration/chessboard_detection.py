@@ -69,10 +69,6 @@ def detect_chessboard(image: NDArray[Any], target: Target) -> Detection:
     if shrink < 1.0:
         small = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     views = _views(small)
-    seeds = [(name, seed) for name, view in views if (seed := _piece(view)) is not None]
-    if not seeds:
-        return Detection(None, _UNSEEN)
-
     wanted = (target.rows, target.columns)
     refused = Detection(None, _UNSEEN)
     for method, corners in _whole_boards(views, target.grid, _quads):
@@ -80,6 +76,9 @@ def detect_chessboard(image: NDArray[Any], target: Target) -> Detection:
         refused = _judged(_oriented(lattice, wanted), target, method)
         if refused.found:
             return replace(refused, beyond=_goes_on(image, lattice))
+    seeds = [(name, seed) for name, view in views if (seed := _piece(view)) is not None]
+    if not seeds:
+        return refused
     pieces = [(name, _grown(image, _enlarged(seed, shrink), wanted)) for name, seed in seeds]
     for _, piece in pieces:
         if piece is not None and _is_cut(image, piece, wanted):

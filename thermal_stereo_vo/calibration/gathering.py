@@ -114,6 +114,6 @@ def _check_found(gathered: Gathered, role: str, target: Target) -> None:
     reasons = [d.reason for (_, r), d in gathered.detections.items() if r == role]
     commonest = max(set(reasons), key=reasons.count)
     raise CalibrationError(
-        f"none of the {len(reasons)} images of the {role} camera shows the board {target}; most "
+        f"0 of {len(reasons)} images of the {role} camera show the board {target}; most "
         f"often: {commonest}"
     )

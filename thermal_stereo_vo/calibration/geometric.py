@@ -294,6 +294,7 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
     """
     parameters = list(rig.parameters)
     for c, role in enumerate(problem.roles):
+        rig = _posed_by(problem, rig, c)
         while True:
             seen = [v for v, s in enumerate(problem.shots) if role in s.views]
             alone = Rig(
@@ -336,6 +337,19 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
     if len(problem.roles) == 1:
         return problem.solved(rig, tolerance=1e-6)
     return _place_solved(problem, rig)
+
+
+def _posed_by(problem: _Problem, rig: Rig, c: int) -> Rig:
+    """The boards where camera c alone sees them: the lens of another may still be far off."""
+    role, points = problem.roles[c], problem.target.points_m
+    camera = to_camera(rig.lenses[c], rig.parameters[c], problem.sizes[role])
+    boards = list(rig.T_reference_board)
+    for v, shot in enumerate(problem.shots):
+        view = shot.views.get(role)
+        if view is not None:
+            T_camera_board = board_pose(camera, points[view.ids], view.pixels)
+            boards[v] = inverse(rig.T_camera_reference[c]) @ T_camera_board
+    return replace(rig, T_reference_board=tuple(boards))
 
 
 def _decentred(solution: Solution) -> bool:

@@ -18,6 +18,7 @@ from thermal_stereo_vo.core.transforms import inverse, log_so3, make_transform
 Array = NDArray[np.float64]
 
 _MAX_INITIAL_VIEWS = 20
+_FOCAL_WIDTHS = (0.7, 1.2, 2.0)
 
 
 def initial_lens(
@@ -25,29 +26,45 @@ def initial_lens(
 ) -> Array:
     """Lens parameters of one camera from a spread of its views, by ``cv2.calibrateCamera``.
 
+    Its own first guess needs well tilted boards; some more focal lengths are tried beside it, as
+    a wrong valley is left by no later step.
+
     Raises CalibrationError when OpenCV finds no camera that could have taken them.
     """
     step = max(1, -(-len(views) // _MAX_INITIAL_VIEWS))
     some = list(views)[::step]
     points = target.points_m.astype(np.float32)
     start = Lens.RADTAN2 if lens is Lens.EQUIDISTANT else lens
-    try:
-        _, matrix, coefficients, _, _ = cv2.calibrateCamera(
-            [points[view.ids] for view in some],
-            [view.pixels.astype(np.float32) for view in some],
-            size,
-            None,
-            None,
-            flags=start.calibration_flags,
-        )
-    except cv2.error as error:
-        raise CalibrationError(
-            f"the views of the {role} camera do not determine a camera ({error.err.strip()}): tilt "
-            "the board in different directions"
-        ) from None
-    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     width, height = size
-    if not (0.2 * width < fx < 20.0 * width and 0.5 < fx / fy < 2.0):
+    guesses: list[Array | None] = [None]
+    guesses += [
+        np.array([[f * width, 0.0, 0.5 * width], [0.0, f * width, 0.5 * height], [0.0, 0.0, 1.0]])
+        for f in _FOCAL_WIDTHS
+    ]
+    found, trouble = [], ""
+    for guess in guesses:
+        flags = start.calibration_flags
+        try:
+            rms, matrix, coefficients, _, _ = cv2.calibrateCamera(
+                [points[view.ids] for view in some],
+                [view.pixels.astype(np.float32) for view in some],
+                size,
+                guess,
+                None if guess is None else np.zeros(start.opencv_count),
+                flags=flags if guess is None else flags | cv2.CALIB_USE_INTRINSIC_GUESS,
+            )
+            found.append((float(rms), matrix, coefficients))
+        except cv2.error as error:
+            trouble = error.err.strip()
+    if not found:
+        raise CalibrationError(
+            f"the views of the {role} camera do not determine a camera ({trouble}): tilt the board "
+            "in different directions"
+        )
+    sane = [f for f in found if _is_sane(f[1], width)]
+    _, matrix, coefficients = min(sane or found, key=lambda f: f[0])
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    if not sane:
         raise CalibrationError(
             f"the views of the {role} camera do not determine its focal length (OpenCV says "
             f"{fx:.0f} x {fy:.0f} px): tilt the board by 20 to 45 degrees in different directions"
@@ -58,6 +75,11 @@ def initial_lens(
         known = coefficients.ravel()[: len(vector) - 4]
         vector[4 : 4 + len(known)] = known
     return vector
+
+
+def _is_sane(matrix: Array, width: int) -> bool:
+    fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
+    return 0.2 * width < fx < 20.0 * width and 0.5 < fx / fy < 2.0
 
 
 def board_pose(camera: Camera, points_m: Array, pixels: Array) -> Array:
