@@ -17,6 +17,7 @@ MEASUREMENTS = {
     "simulate": "pictures a second, processor time and memory of the simulator",
     "radiometry": "flat field, gate and scene-based refinement on real recordings",
     "shutterless": "odometry while the cores warm up without a shutter",
+    "dense": "dense stereo by day and night beside plain OpenCV",
     "enhancement": "odometry on 8-bit views made in several ways",
 }
 """WHAT -> sentence.  The module ``benchmark_WHAT`` has ``add_WHAT_arguments`` and ``run_WHAT``."""

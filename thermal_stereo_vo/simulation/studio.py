@@ -19,7 +19,7 @@ from thermal_stereo_vo.simulation.lag import (
 from thermal_stereo_vo.simulation.lighting import light_scene
 from thermal_stereo_vo.simulation.noise import random_lattice
 from thermal_stereo_vo.simulation.presets import find_preset
-from thermal_stereo_vo.simulation.render import Lens, Renderer, Rendering
+from thermal_stereo_vo.simulation.render import Lens, Poses, Renderer, Rendering
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.shading import Band, thermal_band, visible_band
 from thermal_stereo_vo.simulation.thermal_field import Responsivity
@@ -64,6 +64,10 @@ class Studio:
             time_s,
             row_time_s=0.0 if role == VISIBLE else row_time_s,
         )
+
+    def thermal_view(self, lens: Lens, poses: Poses, time_s: float) -> Rendering:
+        """The sharp thermal picture, with its depths, through a lens that is not of the rig."""
+        return self._renderer.render(lens, self._thermal, poses, time_s)
 
     def picture(self, role: str, time_s: float) -> Picture:
         """What the sensor takes in at one time, smeared by lag or exposure."""
