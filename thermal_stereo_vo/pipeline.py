@@ -21,6 +21,7 @@ from thermal_stereo_vo.observers import Observer, ObserverList, StageTimer
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_gyro, create_odometry
 from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
 from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, ThermalFrontEnd
+from thermal_stereo_vo.radiometry.thermometer import ThermometerConfig
 from thermal_stereo_vo.stereo.dense import DenseConfig
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifier, assemble
@@ -36,6 +37,7 @@ class Config:
     agc: AgcConfig = group(AgcConfig, "The 8-bit view.")
     odometry: OdometryConfig = group(OdometryConfig, "Visual odometry.")
     dense: DenseConfig = group(DenseConfig, "Dense clouds, made beside the way of the frame.")
+    thermometer: ThermometerConfig = group(ThermometerConfig, "Temperatures of dense clouds.")
 
 
 class Pipeline:

@@ -14,15 +14,18 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields
+from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.errors import CalibrationError, FrameError
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus
 from thermal_stereo_vo.core.transforms import exp_se3
 from thermal_stereo_vo.nodes import conversions
 from thermal_stereo_vo.outputs.ros_fields import (
+    disparity_fields,
     odometry_fields,
     point_cloud_fields,
     status_fields,
 )
+from thermal_stereo_vo.stereo.dense import DisparityMap
 
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 IMAGES = st.one_of(arrays.arrays(np.uint8, SHAPES), arrays.arrays(np.uint16, SHAPES))
@@ -190,6 +193,30 @@ def test_points_are_read_back_by_their_own_description(rng: np.random.Generator)
     assert message.row_step == len(message.data)
     np.testing.assert_array_equal(np.column_stack([points[c] for c in "xyz"]), cloud.xyz)
     np.testing.assert_array_equal(points["intensity"], cloud.intensity)
+
+
+def test_temperatures_are_one_more_column(rng: np.random.Generator) -> None:
+    xyz, intensity, kelvin = (rng.random(shape).astype(np.float32) for shape in ((7, 3), 7, 7))
+    cloud = PointCloud(xyz, intensity, kelvin)
+    message = conversions.point_cloud_to_msg(point_cloud_fields(5, cloud, np.eye(4)))
+    assert [(f.name, f.offset) for f in message.fields][4] == ("temperature", 16)
+    assert (message.point_step, message.row_step) == (20, 140)
+    table = np.frombuffer(message.data, "<f4").reshape(7, 5)
+    np.testing.assert_array_equal(table[:, 4], kelvin)
+
+
+def test_disparities_are_told_without_the_offset_of_the_principal_points() -> None:
+    camera = Camera(3, 2, 500.0, 500.0, 10.0, 1.0)
+    disparity = np.array([[20.0, np.nan, 9.0], [8.5, 30.0, np.nan]], np.float32)
+    made = DisparityMap(7, disparity, disparity, (0.0, 31.0), camera, 8.0, 0.25, disparity)
+    message = conversions.disparity_to_msg(disparity_fields(made, frame_id="left_optical"))
+    assert conversions.stamp_from_msg(message.header.stamp) == 7
+    assert (message.f, message.t) == (500.0, 0.25)
+    assert (message.min_disparity, message.max_disparity) == (-2.0, 29.0)
+    assert (message.valid_window.width, message.valid_window.height) == (3, 2)
+    image = np.frombuffer(message.image.data, "<f4").reshape(2, 3)
+    np.testing.assert_array_equal(image, [[18.0, -3.0, 7.0], [6.5, 28.0, -3.0]])
+    np.testing.assert_allclose(message.f * message.t / image[0, 0], made.depth_m[0, 0])
 
 
 def test_status_has_the_stamp_of_the_image(rng: np.random.Generator) -> None:

@@ -26,7 +26,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from stereo_msgs.msg import DisparityImage
 
 from thermal_stereo_vo.benchmarks.drawn_plane import drawn_frames, drawn_rig
 from thermal_stereo_vo.benchmarks.machine import machine_line
@@ -82,7 +83,13 @@ class OnboardFigures:
 
     def report(self) -> str:
         """For people."""
-        keys = ("latency_ms_median", "latency_ms_p95", "latency_ms_max", "pairs_dropped")
+        keys = (
+            "latency_ms_median",
+            "latency_ms_p95",
+            "latency_ms_max",
+            "pairs_dropped",
+            "dense_maps",
+        )
         own = ", ".join(f"{key} {self.of_node[key]}" for key in keys if key in self.of_node)
         reached = self.latency_ms["p95"] <= LATENCY_GOAL_MS
         growth_mb = self.memory_mb_end - self.memory_mb_settled
@@ -110,10 +117,13 @@ def benchmark_onboard(
     rig: RigCalibration,
     frames: Sequence[RawFrame],
     parameters: Sequence[str] = (),
+    *,
+    dense: bool = False,
 ) -> OnboardFigures:
     """Run the node for ``seconds`` on these frames, played forth and back.
 
-    ``parameters`` are further ``name:=value`` texts for the node.
+    ``parameters`` are further ``name:=value`` texts for the node.  With ``dense`` somebody listens
+    to its dense clouds.
 
     Raises OnboardBenchmarkError when the node ends or does not get ready.
     """
@@ -124,7 +134,7 @@ def benchmark_onboard(
         context = rclpy.Context()
         rclpy.init(args=[], context=context, domain_id=DOMAIN)
         try:
-            feeder = _Feeder(context, rig, frames)
+            feeder = _Feeder(context, rig, frames, dense)
             feeder.wait_until_ready(node, log)
             return feeder.run(node, log, pairs, rate_hz)
         finally:
@@ -154,7 +164,11 @@ class _Feeder:
     """Cameras and autopilot in one: sends pairs, hears what comes back."""
 
     def __init__(
-        self, context: rclpy.Context, rig: RigCalibration, frames: Sequence[RawFrame]
+        self,
+        context: rclpy.Context,
+        rig: RigCalibration,
+        frames: Sequence[RawFrame],
+        dense: bool,
     ) -> None:
         self._node = rclpy.create_node(
             "feeder", context=context, start_parameter_services=False, enable_rosout=False
@@ -177,6 +191,9 @@ class _Feeder:
         node.create_subscription(Odometry, "odom", self._on_odom, QOS)
         node.create_subscription(DiagnosticArray, "status", self._on_status, QOS)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, QOS)
+        if dense:
+            for kind, topic in ((DisparityImage, "disparity"), (PointCloud2, "points2")):
+                node.create_subscription(kind, topic, _let_pass, QOS, raw=True)
 
     def wait_until_ready(self, process: subprocess.Popen[bytes], log: Path) -> None:
         """Send the calibration until the node asks for images."""
@@ -266,6 +283,10 @@ class _Feeder:
         self._of_node = {item.key: item.value for item in message.status[0].values}
 
 
+def _let_pass(message: bytes) -> None:
+    """A listener that costs nothing."""
+
+
 def forth_and_back(count: int) -> Iterator[int]:
     """Endless indices without a jump and without a repetition.
 
@@ -319,6 +340,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--set", action="append", default=[], metavar="name:=value", help="parameter of the node"
     )
+    parser.add_argument("--dense", action="store_true", help="listen to disparity and points2")
     parser.add_argument("--json", type=Path, metavar="F", help="write the figures here as well")
     args = parser.parse_args(argv)
     if not (args.seconds > 0 and args.rate > 0 and args.pairs >= 3):
@@ -326,7 +348,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     try:
         rig, frames = _images(args.source, args.pairs, args.rate)
-        figures = benchmark_onboard(args.seconds, args.rate, rig, frames, args.set)
+        figures = benchmark_onboard(
+            args.seconds, args.rate, rig, frames, args.set, dense=args.dense
+        )
     except ThermalStereoError as error:
         print(f"benchmark_onboard: {error}", file=sys.stderr)
         return 2

@@ -17,6 +17,7 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2, PointField
+from stereo_msgs.msg import DisparityImage
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields
 from thermal_stereo_vo.core.errors import FrameError
@@ -24,6 +25,7 @@ from thermal_stereo_vo.core.image_encoding import decode_pixels
 from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.outputs.ros_fields import (
     DiagnosticFields,
+    DisparityFields,
     OdometryFields,
     PointCloudFields,
     stamp_fields,
@@ -156,20 +158,35 @@ def transform_to_msg(fields: OdometryFields) -> TransformStamped:
 
 
 def point_cloud_to_msg(fields: PointCloudFields) -> PointCloud2:
-    """``sensor_msgs/PointCloud2``, one row of x, y, z, intensity."""
+    """``sensor_msgs/PointCloud2`` of one row."""
     message = PointCloud2()
     message.header.stamp = stamp_to_msg(fields.stamp_ns)
     message.header.frame_id = fields.frame_id
     message.height, message.width = 1, fields.width
     message.fields = [
         PointField(name=name, offset=offset, datatype=fields.FLOAT32, count=1)
-        for name, offset in zip(fields.NAMES, fields.OFFSETS, strict=True)
+        for name, offset in zip(fields.names, fields.offsets, strict=True)
     ]
     message.is_bigendian = False
-    message.point_step = fields.POINT_STEP
-    message.row_step = fields.POINT_STEP * fields.width
+    message.point_step = fields.point_step
+    message.row_step = fields.point_step * fields.width
     message.data = _bytes(fields.data)
     message.is_dense = True
+    return message
+
+
+def disparity_to_msg(fields: DisparityFields) -> DisparityImage:
+    """``stereo_msgs/DisparityImage``; the whole image is its valid window."""
+    message = DisparityImage()
+    message.header.stamp = stamp_to_msg(fields.stamp_ns)
+    message.header.frame_id = fields.frame_id
+    message.image = _image(fields.image, "32FC1", fields.stamp_ns, fields.frame_id)
+    message.f, message.t = fields.focal_px, fields.baseline_m
+    height, width = fields.image.shape
+    message.valid_window.height, message.valid_window.width = height, width
+    message.min_disparity = fields.min_disparity_px
+    message.max_disparity = fields.max_disparity_px
+    message.delta_d = fields.delta_px
     return message
 
 

@@ -36,4 +36,6 @@ class OnboardNodeConfig(StereoOdometryNodeConfig, StereoCaptureConfig):
             pairing=self.pairing,
             agc=self.agc,
             odometry=self.odometry,
+            dense=self.dense,
+            thermometer=self.thermometer,
         )

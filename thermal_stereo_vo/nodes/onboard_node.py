@@ -26,6 +26,7 @@ from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame
 from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.nodes import conversions, runtime
 from thermal_stereo_vo.nodes.calibration_urls import read_calibrations
+from thermal_stereo_vo.nodes.dense_publisher import DensePublisher
 from thermal_stereo_vo.nodes.live_cameras import LiveCameras
 from thermal_stereo_vo.nodes.onboard_config import TOPICS, OnboardNodeConfig
 from thermal_stereo_vo.nodes.onboard_health import (
@@ -62,6 +63,9 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
         in   imu                                  sensor_msgs/Imu, with odometry.gyro.enabled
         out  odom                                 nav_msgs/Odometry, silent while lost
         out  points                               sensor_msgs/PointCloud2 in odom_frame
+        out  disparity                            stereo_msgs/DisparityImage, while somebody listens
+        out  points2                              sensor_msgs/PointCloud2 in odom_frame: the dense
+                                                  cloud, while somebody listens, silent while lost
         out  status                               diagnostic_msgs/DiagnosticArray, one per pair
         out  /diagnostics                         diagnostic_msgs/DiagnosticArray, once a second:
                                                   latency, load, drops, gates, skew
@@ -95,6 +99,7 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
         self._answered = 0
         self._imu_samples = 0
         self._arrival_s: dict[str, float | None] = dict.fromkeys(EYES)
+        self._dense = DensePublisher(self, config, self.fail)
         self._thread = PipelineThread(self, self._publisher, newest_only=not config.process_all)
         self._images: ImageInput | None = None
         self._cameras: LiveCameras | None = None
@@ -161,7 +166,7 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
         self._thread.prepare(
             self.config.pipeline,
             replace(calibration, T_base_rig=self.config.mount.T_base_rig),
-            (self._latency, self._gates, self._views),
+            (self._latency, self._gates, self._views, self._dense),
         )
 
     # --- from images to results -------------------------------------------------------------------
@@ -224,6 +229,7 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
         if self._cameras is not None:
             self._cameras.close()
         self._thread.close()
+        self._dense.stop()
 
     # --- health -----------------------------------------------------------------------------------
 
@@ -242,6 +248,7 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
             *self._load.fields(),
             *self._skew_ms.fields("skew_ms", 50, 95, 100),
             *self._gates.fields(),
+            *self._dense.counters(),
             *stage_fields(self._stages_ms),
         ]
         stamp_ns, level, messages = 0, OK, []

@@ -18,6 +18,8 @@ from thermal_stereo_vo.core.transforms import (
 from thermal_stereo_vo.odometry.factory import OdometryConfig
 from thermal_stereo_vo.pipeline import Config as PipelineConfig
 from thermal_stereo_vo.radiometry.agc import AgcConfig
+from thermal_stereo_vo.radiometry.thermometer import ThermometerConfig
+from thermal_stereo_vo.stereo.dense import DenseConfig
 from thermal_stereo_vo.stereo.pairing import PairingConfig
 
 _AHEAD_QUAT_XYZW = tuple(map(float, quat_xyzw_from_rotation(default_T_base_rig()[:3, :3])))
@@ -56,6 +58,8 @@ class StereoOdometryNodeConfig:
     pairing: PairingConfig = group(PairingConfig, "Which images belong together.")
     agc: AgcConfig = group(AgcConfig, "The 8-bit view.")
     odometry: OdometryConfig = group(OdometryConfig, "Visual odometry.")
+    dense: DenseConfig = group(DenseConfig, "Dense clouds.")
+    thermometer: ThermometerConfig = group(ThermometerConfig, "Temperatures of dense clouds.")
     mount: MountConfig = group(MountConfig, "The left camera on the vehicle.")
     process_all: bool = setting(
         False,
@@ -71,4 +75,10 @@ class StereoOdometryNodeConfig:
     @property
     def pipeline(self) -> PipelineConfig:
         """The part that the replay knows too."""
-        return PipelineConfig(pairing=self.pairing, agc=self.agc, odometry=self.odometry)
+        return PipelineConfig(
+            pairing=self.pairing,
+            agc=self.agc,
+            odometry=self.odometry,
+            dense=self.dense,
+            thermometer=self.thermometer,
+        )

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from thermal_stereo_vo.core.camera_info import CameraInfoFields, calibration_from_pair
 from thermal_stereo_vo.core.frames import RadiometricFrame
 from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.nodes.dense_publisher import DensePublisher
 from thermal_stereo_vo.nodes.pipeline_thread import PipelineThread
 from thermal_stereo_vo.nodes.publisher import ResultPublisher
 from thermal_stereo_vo.nodes.stereo_input import EYES, CalibrationInput, ImageInput
@@ -37,6 +38,9 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         in   left/mask, right/mask                sensor_msgs/Image mono8, 255 = usable; optional
         out  odom                                 nav_msgs/Odometry, silent while lost
         out  points                               sensor_msgs/PointCloud2 in odom_frame
+        out  disparity                            stereo_msgs/DisparityImage, while somebody listens
+        out  points2                              sensor_msgs/PointCloud2 in odom_frame: the dense
+                                                  cloud, while somebody listens, silent while lost
         out  status                               diagnostic_msgs/DiagnosticArray, one per pair
         out  /diagnostics                         diagnostic_msgs/DiagnosticArray, once a second
         out  /tf                                  tf2_msgs/TFMessage, with publish_tf
@@ -53,6 +57,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
             odom_frame=config.odom_frame,
             base_frame=config.base_frame,
         )
+        self._dense = DensePublisher(self, config, self.fail)
         self._thread = PipelineThread(self, self._publisher, newest_only=not config.process_all)
         self._images = ImageInput(
             self,
@@ -76,7 +81,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         calibration = calibration_from_pair(left, right, rectified=True, origin="in camera_info")
         calibration.check_stereo()
         self.problem = ""
-        self._thread.prepare(self.config.pipeline, calibration)
+        self._thread.prepare(self.config.pipeline, calibration, (self._dense,))
 
     def _open(self) -> None:
         """Ask for images as soon as nothing else is missing."""
@@ -118,10 +123,15 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
 
     def close(self) -> None:
         self._thread.close()
+        self._dense.stop()
 
     def health(self) -> DiagnosticFields:
         last = self._publisher.last
-        counters = (*self._images.counters(), *self._thread.counters())
+        counters = (
+            *self._images.counters(),
+            *self._thread.counters(),
+            *self._dense.counters(),
+        )
         if last is not None:
             of_last = status_fields(last, name=self.NAME)
             values = (*of_last.values, *counters)

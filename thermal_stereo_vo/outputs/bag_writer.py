@@ -212,7 +212,7 @@ class BagWriter:
                 datatype=fields.FLOAT32,
                 count=1,
             )
-            for name, offset in zip(fields.NAMES, fields.OFFSETS, strict=True)
+            for name, offset in zip(fields.names, fields.offsets, strict=True)
         ]
         self._write(
             topic,
@@ -223,8 +223,8 @@ class BagWriter:
             width=fields.width,
             fields=spec,
             is_bigendian=False,
-            point_step=fields.POINT_STEP,
-            row_step=fields.POINT_STEP * fields.width,
+            point_step=fields.point_step,
+            row_step=fields.point_step * fields.width,
             data=fields.data,
             is_dense=True,
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,18 @@ from thermal_stereo_vo.core.transforms import (
     transform_points,
 )
 
+if TYPE_CHECKING:
+    from thermal_stereo_vo.stereo.dense import DisparityMap
+
 Value = TypeVar("Value")
 
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
 UNKNOWN_VARIANCE = 1e6
 """Variance of what was not measured ((m, rad, m/s, rad/s) squared): ROS has no "absent"."""
+
+DELTA_PX = 1.0 / 16.0
+"""Step of the matcher; the step on counts that follows has none."""
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 """Levels of ``diagnostic_msgs/DiagnosticStatus``."""
@@ -65,21 +71,47 @@ class OdometryFields:
 
 @dataclass(frozen=True)
 class PointCloudFields:
-    """``sensor_msgs/PointCloud2`` of one row: float32 x, y, z (m) and intensity, little-endian.
+    """``sensor_msgs/PointCloud2`` of one row: float32 columns, little-endian.
 
-    ``data`` (N * 16,) uint8.
+    x, y, z (m), intensity and, where known, temperature (K).  ``data`` (N * ``point_step``,) uint8.
     """
 
     stamp_ns: int
     width: int
     data: NDArray[np.uint8]
     frame_id: str = ODOM_FRAME
+    names: tuple[str, ...] = ("x", "y", "z", "intensity")
 
-    POINT_STEP = 16
-    NAMES = ("x", "y", "z", "intensity")
-    OFFSETS = (0, 4, 8, 12)
     FLOAT32 = 7
     """``sensor_msgs/PointField.FLOAT32``."""
+
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        """Bytes before each column."""
+        return tuple(range(0, self.point_step, 4))
+
+    @property
+    def point_step(self) -> int:
+        """Bytes of a point."""
+        return 4 * len(self.names)
+
+
+@dataclass(frozen=True)
+class DisparityFields:
+    """``stereo_msgs/DisparityImage``.
+
+    ``image`` (H, W) float32 with the offset of the principal points taken off, so that
+    ``Z = focal_px * baseline_m / d``; unknown pixels lie one below ``min_disparity_px``.
+    """
+
+    stamp_ns: int
+    image: NDArray[np.float32]
+    focal_px: float
+    baseline_m: float
+    min_disparity_px: float
+    max_disparity_px: float
+    delta_px: float
+    frame_id: str
 
 
 @dataclass(frozen=True)
@@ -198,10 +230,32 @@ def point_cloud_fields(
     stamp_ns: int, cloud: PointCloud, T_base_rig: Matrix, *, frame_id: str = ODOM_FRAME
 ) -> PointCloudFields:
     """World points in ``odom`` axes, packed; points that are not finite are left out."""
-    xyz = transform_points(T_base_rig, cloud.xyz)
-    packed = np.column_stack([xyz, cloud.intensity]).astype("<f4")
+    columns: list[NDArray[Any]] = [transform_points(T_base_rig, cloud.xyz), cloud.intensity]
+    names: tuple[str, ...] = ("x", "y", "z", "intensity")
+    if cloud.temperature_kelvin is not None:
+        columns.append(cloud.temperature_kelvin)
+        names = (*names, "temperature")
+    packed = np.column_stack(columns).astype("<f4")
     packed = np.ascontiguousarray(packed[np.all(np.isfinite(packed), axis=1)])
-    return PointCloudFields(stamp_ns, len(packed), packed.view(np.uint8).reshape(-1), frame_id)
+    data = packed.view(np.uint8).reshape(-1)
+    return PointCloudFields(stamp_ns, len(packed), data, frame_id, names)
+
+
+def disparity_fields(disparities: DisparityMap, *, frame_id: str) -> DisparityFields:
+    """What ``disparity`` says of a map."""
+    offset_px = disparities.camera.cx - disparities.right_cx
+    low, high = (limit - offset_px for limit in disparities.limits_px)
+    image = disparities.disparity_px - np.float32(offset_px)
+    return DisparityFields(
+        stamp_ns=disparities.stamp_ns,
+        image=np.where(np.isnan(image), np.float32(low - 1.0), image),
+        focal_px=float(disparities.camera.fx),
+        baseline_m=disparities.baseline_m,
+        min_disparity_px=float(low),
+        max_disparity_px=float(high),
+        delta_px=DELTA_PX,
+        frame_id=frame_id,
+    )
 
 
 def status_fields(result: OdometryResult, *, name: str = "odometry") -> DiagnosticFields:

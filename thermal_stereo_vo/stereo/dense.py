@@ -32,6 +32,12 @@ class DenseConfig:
     rate_hz: float = setting(
         5.0, "Live: disparity maps a second, at most.", unit="Hz", minimum=0.1, maximum=60.0
     )
+    max_range_m: float = setting(
+        40.0, "Live: farther points are left out of clouds.", unit="m", minimum=0.5, maximum=1000.0
+    )
+    point_step: int = setting(
+        2, "Live: every so many pixels and rows a point.", unit="px", minimum=1, maximum=32
+    )
     disparities: int = setting(
         96, "Search range from zero, in whole steps of 16.", unit="px", minimum=16, maximum=512
     )
