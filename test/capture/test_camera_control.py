@@ -23,7 +23,7 @@ DO_FFC, SENSOR, ROI = 0x0C, 0x20, 0x4C
 @pytest.fixture
 def control(pty_camera):
     port = open_serial(pty_camera.port, 57600)
-    yield Tau2Control(CciPort(port, timeout_s=2.0, reply_s=0.5))
+    yield Tau2Control(CciPort(port, timeout_s=240.0, reply_s=240.0))
     port.close()
 
 
@@ -181,7 +181,11 @@ def test_who_decides_on_corrections(control, pty_camera):
 def test_shutter(control, pty_camera):
     control.close_shutter()
     control.open_shutter()
-    assert written(pty_camera) == [(0x79, "0001"), (0x79, "0000")]
+    control.open_shutter()
+    assert written(pty_camera) == [(0x79, "0001"), (0x79, "0000"), (0x79, "0000")]
+    pty_camera.stuck.add(0x79)
+    with pytest.raises(CameraControlError, match="SHUTTER_POSITION was set to 1 but reads 0"):
+        control.close_shutter()
 
 
 def test_the_report_holds_the_camera_s_own_defaults(control, pty_camera):

@@ -80,6 +80,15 @@ def test_a_camera_under_itself_is_inhibited_by_switching_to_manual(connect, pty_
     eventually(lambda: pty_camera.registers[FFC_MODE] == b"\0\1")
 
 
+def test_an_inhibition_does_not_outlive_the_program(connect, pty_camera, eventually):
+    links, policy = connect({"left": pty_camera}, authority="camera")
+    eventually(lambda: links["left"].status().connected)
+    policy.inhibit(time.monotonic_ns())
+    eventually(lambda: pty_camera.registers[FFC_MODE] == b"\0\0")
+    links["left"].stop()
+    assert pty_camera.registers[FFC_MODE] == b"\0\1"
+
+
 def test_a_camera_left_alone_keeps_its_mode(connect, pty_camera, eventually):
     links, _ = connect({"left": pty_camera}, authority="none")
     eventually(lambda: telemetry(links["left"]) is not None)

@@ -6,6 +6,7 @@ import threading
 import time
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,11 +14,13 @@ from thermal_stereo_vo.capture.fake import FakeCameras, FakeConfig
 from thermal_stereo_vo.capture.recovery import LinkState
 from thermal_stereo_vo.core.errors import CaptureError, ConfigError
 from thermal_stereo_vo.core.frames import RawFrame
+from thermal_stereo_vo.outputs.ros_fields import WARN
 from thermal_stereo_vo.stereo_capture import (
     StereoCapture,
     StereoCaptureConfig,
     open_stereo_capture,
 )
+from thermal_stereo_vo.stereo_capture_report import HealthReport
 
 MS = 1_000_000
 BEGIN_NS = 12_345 * MS
@@ -121,6 +124,29 @@ def test_pairs_of_a_recording():
         assert pair.complete
         assert pair.skew_ns == pytest.approx(1.5 * MS, abs=0.05 * MS)
         assert np.array_equal(pair.frames["left"].image, pair.frames["right"].image)
+
+
+def test_a_skew_that_costs_pixels_is_warned_of(rng):
+    """15 px a frame at 50 Hz: 5 ms between the eyes are 3.75 px."""
+    world = cv2.GaussianBlur(rng.normal(size=(240, 1200)).astype(np.float32), (0, 0), 6)
+    world = (8000 + 500 * world / world.std()).astype(np.uint16)
+
+    def frames():
+        for n in range(50):
+            for eye, offset_ms in (("left", 0), ("right", 5)):
+                image = world[:, 15 * n :][:, :320]
+                yield RawFrame(image, BEGIN_NS + (n * 20 + offset_ms) * MS, eye, sequence=n)
+
+    capture = StereoCapture(FakeCameras(("left", "right"), frames), waiting_pairs=1000)
+    with capture:
+        for _ in zip(range(40), capture.pairs(), strict=False):
+            pass
+        told = HealthReport().fields(capture.status(), 0)
+    values = dict(told.values)
+    assert float(values["skew_ms"]) == pytest.approx(5.0, abs=0.1)
+    assert float(values["skew_displacement_px"]) == pytest.approx(3.75, rel=0.15)
+    assert told.level == WARN
+    assert "px of false disparity" in told.message
 
 
 def test_close_ends_a_reader_that_waits():

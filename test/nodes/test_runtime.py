@@ -229,12 +229,12 @@ def test_one_signal_ends_a_node_with_code_0_whatever_it_does(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
+        bufsize=0,  # nothing after the line is read with it
     )
     assert process.stdout is not None
-    assert process.stdout.readline() == "begun\n"
+    assert process.stdout.readline() == b"begun\n"
     process.send_signal(number)
-    said, complaint = process.communicate("go on\n", timeout=600)
+    said, complaint = (text.decode() for text in process.communicate(b"go on\n", timeout=600))
     assert (process.returncode, said) == (0, output), complaint
     assert complaint.startswith(error)
     assert bool(complaint) == bool(error)

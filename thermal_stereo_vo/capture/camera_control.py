@@ -164,11 +164,11 @@ class Tau2Control:
 
     def open_shutter(self) -> None:
         """Open a shutter that a shock has closed."""
-        self._port.call(Function.SHUTTER_POSITION, _word(0))
+        self._move_shutter(0)
 
     def close_shutter(self) -> None:
         """Close it: a uniform scene for a calibration."""
-        self._port.call(Function.SHUTTER_POSITION, _word(1))
+        self._move_shutter(1)
 
     def configure(self, settings: CameraSettings, camera: str) -> tuple[str, ...]:
         """Write what differs from ``settings``; says what was changed.
@@ -240,6 +240,11 @@ class Tau2Control:
         self._port.call(function, _word(wanted))
         self._check(function, wanted, self._get_word(function))
         return [f"{function.name} {before} -> {wanted}"]
+
+    def _move_shutter(self, position: int) -> None:
+        # Always sent: the camera does not know of a shutter that a shock has moved.
+        self._port.call(Function.SHUTTER_POSITION, _word(position))
+        self._check(Function.SHUTTER_POSITION, position, self._get_word(Function.SHUTTER_POSITION))
 
     def _set_xp(self, output: str) -> list[str]:
         wanted = _XP.get(output)

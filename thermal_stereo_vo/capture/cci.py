@@ -252,7 +252,8 @@ class CciPort:
                 Status.CHECKSUM_ERROR,
             ):
                 raise _refusal(function, data, reply.status)
-            status = None if reply is None else Status(reply.status)
+            if reply is not None:
+                status = Status(reply.status)
             if time.monotonic() + _BUSY_PAUSE_S >= deadline_s:
                 break
             if reply is not None:

@@ -115,10 +115,14 @@ class ControlLink:
         )
         self._thread.start()
 
-    def stop(self) -> None:
-        """Close the port; returns when it is closed."""
+    def request_stop(self) -> None:
+        """Begin to close the port; returns at once."""
         self._stop.set()
         self._reconnect.set()
+
+    def stop(self) -> None:
+        """Close the port; returns when it is closed."""
+        self.request_stop()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -193,6 +197,8 @@ class ControlLink:
                         raise
                     self._tell(reason=str(error))
                 self._reconnect.wait(self._config.poll_period_s)
+            if self._stop.is_set() and self._ffc.authority == "camera" and not self._automatic:
+                control.set_ffc_automatic(True)  # nobody is left to end the inhibition
         finally:
             port.close()
 

@@ -96,6 +96,8 @@ class GrabberRig:
 
     def stop(self) -> None:
         for thread in self._threads:
+            thread.request_stop()
+        for thread in self._threads:
             thread.stop()
 
     def streaming(self, camera: str) -> bool:

@@ -153,10 +153,14 @@ class CameraLink:
         )
         self._thread.start()
 
-    def stop(self) -> None:
-        """Close the device; returns when it is closed."""
+    def request_stop(self) -> None:
+        """Begin to close the device; returns at once."""
         self._stop.set()
         self._reconnect.set()
+
+    def stop(self) -> None:
+        """Close the device; returns when it is closed."""
+        self.request_stop()
         if self._thread is not None:
             self._thread.join()
             self._thread = None

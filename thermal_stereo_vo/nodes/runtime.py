@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -39,6 +40,7 @@ Config = TypeVar("Config")
 
 NO_DATA_AFTER_S = 5.0
 STOP_CHECK_S = 0.2
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 STOP_LIMIT_S = 8.0
 """``ros2 launch`` kills a process ten seconds after Ctrl-C."""
 
@@ -280,7 +282,8 @@ class BaseNode(Node, Generic[Config]):  # type: ignore[misc]
         if self.problem:
             level, message = ERROR, self.problem
         elif complaint is not None:
-            level, message = max(level, WARN), complaint
+            message = f"{complaint}; {message}" if level == ERROR else complaint
+            level = max(level, WARN)
         self._health.publish(
             diagnostics_to_msg(
                 replace(
@@ -354,12 +357,19 @@ def stop_signals(limit_s: float = STOP_LIMIT_S) -> Iterator[StopRequest]:
 
     # Started before any signal: a handler may interrupt the start of another thread.
     threading.Thread(target=watch, name="stop", daemon=True).start()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _STOP_SIGNALS:
         signal.signal(number, handler)
+    # Python takes its handlers away before it ends: a signal would kill a node that has just ended.
+    atexit.register(_ignore_signals)
     try:
         yield stop
     finally:
         over.set()
+
+
+def _ignore_signals() -> None:
+    for number in _STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _spin(
