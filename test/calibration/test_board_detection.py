@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from thermal_stereo_vo.calibration.detection import detect
+from thermal_stereo_vo.calibration.normalisation import without_bad_pixels
 from thermal_stereo_vo.calibration.targets import parse_target
 from thermal_stereo_vo.core.errors import FrameError
 
@@ -149,3 +150,33 @@ def test_same_answer_twice_and_image_untouched(stage, hold, rng):
     image.flags.writeable = False
     first, second = detect(image, CHESSBOARD).view, detect(image, CHESSBOARD).view
     np.testing.assert_array_equal(first.pixels, second.pixels)
+
+
+def test_dead_and_hot_pixels_are_no_harm(stage, hold, rng):
+    """One in the orientation mark, one on a corner, one beside: as if they were not there."""
+    T = hold(MASK, (10.0, 10.0, 0.0), (0.0, 0.0), 0.62)
+    image = stage.picture(MASK, T, rng)
+    clean = detect(image, MASK)
+    mark = np.mean(
+        stage.camera.project(np.array([[-0.018, -0.018, 0.0]]) @ T[:3, :3].T + T[:3, 3]), 0
+    )
+    x, y = np.rint(mark).astype(int)
+    image[y - 1 : y + 2 : 2, x] = 0
+    for k in (13, 27):
+        x, y = np.rint(stage.pixels(MASK, T)[k]).astype(int)
+        image[y, x] = 16383
+    detection = detect(image, MASK)
+    assert detection.found, detection.reason
+    assert len(detection.view) == len(clean.view)
+    assert error_px(stage, MASK, T, detection.view).max() < 0.3
+
+
+def test_nothing_of_a_board_is_taken_for_a_bad_pixel(stage, hold, rng):
+    T = hold(CHESSBOARD, (20.0, -15.0, 10.0), (0.03, -0.02), 0.42)
+    image = stage.picture(CHESSBOARD, T, rng, blur_px=0.4)
+    assert without_bad_pixels(image) is image
+    image[100, 120] = 9000
+    mended = without_bad_pixels(image)
+    assert mended.dtype == np.uint16
+    assert mended[100, 120] < 3500
+    assert np.count_nonzero(mended != image) == 1

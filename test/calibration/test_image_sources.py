@@ -78,10 +78,20 @@ def test_the_stillest_instant_of_a_stretch(rng):
     noisy = still + rng.integers(0, 2, still.shape).astype(np.uint16)
     images = [np.roll(still, 9, 1), np.roll(still, 5, 1), still, noisy, noisy, np.roll(still, 7, 1)]
     instants = ({"left": RawFrame(i, 10 * k, "left", k)} for k, i in enumerate(images))
-    (stretch,) = list(_stretches(instants, 6))
+    (stretch,) = list(_stretches(instants, 6, 1))
     assert [i.frames["left"].sequence for i in stretch] == [0, 1, 2, 3, 5]
     # The first frame has nothing to be compared with; leave it out of the choice here.
     assert _stillest(stretch[1:])["left"].sequence == 3
+
+
+@pytest.mark.parametrize(("count", "parts", "sizes"), [(27, 22, {1, 2}), (5, 22, {1}), (9, 3, {3})])
+def test_as_many_stretches_as_asked_for(rng, count, parts, sizes):
+    images = rng.integers(1000, 2000, (count, 16, 16)).astype(np.uint16)
+    instants = ({"left": RawFrame(image, k, "left", k)} for k, image in enumerate(images))
+    stretches = list(_stretches(instants, count, parts))
+    assert len(stretches) == min(count, parts)
+    assert {len(stretch) for stretch in stretches} == sizes
+    assert sum(len(stretch) for stretch in stretches) == count
 
 
 def test_only_simulated_sources_know_the_truth(tmp_path):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
 from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
@@ -43,9 +44,14 @@ class Flown:
         return sum(result.status is TrackingStatus.LOST for result in self.results)
 
 
-def fly(dataset: SimulatedDataset, config: Config) -> Flown:
-    """Replay a simulated flight and evaluate it against the true path of the rectified rig."""
-    calibration = dataset.calibration()
+def fly(
+    dataset: SimulatedDataset, config: Config, calibration: RigCalibration | None = None
+) -> Flown:
+    """Replay a simulated flight and evaluate it against the true path of the rectified rig.
+
+    ``calibration`` replaces the true one.
+    """
+    calibration = calibration or dataset.calibration()
     results = replay(dataset, calibration, config).results
     truth = dataset.ground_truth()
     T_rig_rectified = Rectifier(calibration, config.rectification).T_rig_rectified

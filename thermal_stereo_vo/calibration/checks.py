@@ -71,8 +71,7 @@ def check_known_baseline(pair: PairResult, target: Target, known_m: float) -> No
     if abs(ratio - 1.0) > allowed:
         raise CalibrationError(
             f"the cameras come out {1e3 * pair.baseline_m:.1f} mm apart, but {1e3 * known_m:.1f} "
-            "mm "
-            f"are known ({100 * (ratio - 1):+.1f} %): with squares of "
+            f"mm are known ({100 * (ratio - 1):+.1f} %): with squares of "
             f"{1e3 * target.spacing_m / ratio:.2f} mm instead of {1e3 * target.spacing_m:.2f} mm "
             "both would agree; measure the board and correct --board (or --baseline)"
         )
@@ -86,8 +85,7 @@ def check_eyes(pair: PairResult, roles: Sequence[str]) -> None:
     if offset_m[0] < 0.0 and abs(offset_m[0]) > 0.5 * pair.baseline_m:
         raise CalibrationError(
             f"the eyes are swapped: the right camera lies {1e3 * pair.baseline_m:.1f} mm to the "
-            "LEFT "
-            "of the left one; exchange the two sources (or topics)"
+            "LEFT of the left one; exchange the two sources (or topics)"
         )
 
 
@@ -151,15 +149,13 @@ def _findings(
     if abs(scale - 1.0) > _SCALE_LIMIT:
         baseline_m = float(np.linalg.norm(T[:3, 3]))
         found.append(
-            f"wrong scale: corners come out {100 * (scale - 1):+.1f} % apart; either the squares "
-            "are "
+            f"wrong scale: corners lie {100 * (scale - 1):+.1f} % apart; either the squares are "
             f"{1e3 * target.spacing_m * scale:.2f} mm and not {1e3 * target.spacing_m:.2f} mm, or "
             f"the baseline is {1e3 * baseline_m / scale:.1f} mm and not {1e3 * baseline_m:.1f} mm"
         )
     if abs(errors.yaw_error_rad) > _YAW_LIMIT_RAD:
         found.append(
             f"relative yaw off by {1e3 * errors.yaw_error_rad:+.2f} mrad: distances by both eyes "
-            "and "
-            "by one drift apart as the board goes away, which no epipolar error shows"
+            "and by one drift apart as the board goes away, which no epipolar error shows"
         )
     return found

@@ -20,7 +20,8 @@ class Column:
     """One calibration in the tables.
 
     ``lenses`` role -> values in the order fx fy u0 v0 k1 k2 p1 p2 k3; ``sigmas`` likewise where
-    known.  ``stereo`` are the figures on the views at hand.
+    known; ``place_sigmas`` are those of translation (mm) and rotation vector (rad).  ``stereo``
+    are the figures on the views at hand.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Column:
     stereo: StereoErrors | None
     sigmas: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     mre_px: Mapping[str, float] = field(default_factory=dict)
+    place_sigmas: tuple[float, ...] | None = None
 
 
 def column_of_result(name: str, result: CalibrationResult) -> Column:
@@ -52,6 +54,7 @@ def column_of_result(name: str, result: CalibrationResult) -> Column:
         None if pair is None else pair.held_out or pair.training,
         sigmas,
         {role: camera.training.mean_px for role, camera in result.cameras.items()},
+        None if pair is None else (*(1e3 * pair.sigma[:3]).tolist(), *pair.sigma[3:].tolist()),
     )
 
 
@@ -79,10 +82,12 @@ def tables(columns: Sequence[Column]) -> list[tuple[str, list[str], list[list[st
     roles = list(columns[0].lenses)
     found = []
     if any(c.translation_mm is not None for c in columns):
-        rows = [
-            [c.name, _vector(c.translation_mm, 4), _vector(c.rotation_vector_rad, 4)]
-            for c in columns
-        ]
+        rows = []
+        for c in columns:
+            rows.append([c.name, _vector(c.translation_mm, 3), _vector(c.rotation_vector_rad, 5)])
+            if c.place_sigmas is not None:
+                sigmas = c.place_sigmas
+                rows.append(["+-", _vector(sigmas[:3], 3), _vector(sigmas[3:], 5)])
         found.append(("Stereo parameters (P1 Table I)", ["", "T [mm]", "R [rad]"], rows))
     head = ["", *(f"{c.name} {role}" for c in columns for role in roles)]
     rows = []
@@ -155,16 +160,16 @@ def _three(vector: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _vector(values: tuple[float, float, float] | None, digits: int) -> str:
+def _vector(values: Sequence[float] | None, digits: int) -> str:
     if values is None:
         return "-"
     return "[" + " ".join(f"{v:.{digits}f}" for v in values) + "]"
 
 
 def _number(value: float, sigmas: tuple[float, ...] | None, k: int) -> str:
-    digits = 4
+    digits = 3 if k < 4 else 5
     if sigmas is None:
         return f"{value:.{digits}f}"
     if k >= 4 and sigmas[k] == 0.0:
         return "0 (fixed)"
-    return f"{value:.{digits}f} +- {sigmas[k]:.4f}"
+    return f"{value:.{digits}f} +- {sigmas[k]:.{digits}f}"

@@ -6,6 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from thermal_stereo_vo.calibration.normalisation import without_bad_pixels
 from thermal_stereo_vo.calibration.targets import Target, TargetKind
 from thermal_stereo_vo.calibration.views import Detection
 from thermal_stereo_vo.core.errors import FrameError
@@ -22,6 +23,7 @@ def detect(image: NDArray[Any], target: Target) -> Detection:
         )
     if image.size == 0 or image.max() == image.min():
         return Detection(None, "the image is empty or uniform")
+    image = without_bad_pixels(image)
     if target.kind is TargetKind.CHESSBOARD:
         from thermal_stereo_vo.calibration.chessboard_detection import detect_chessboard
 

@@ -80,9 +80,8 @@ def gather(
                 if sizes.setdefault(role, size) != size:
                     raise CalibrationError(
                         f"image {shot.name} of the {role} camera is {size[0]}x{size[1]} pixels, "
-                        "the "
-                        f"ones before {sizes[role][0]}x{sizes[role][1]}: all images of a camera "
-                        "must have one size"
+                        f"the ones before {sizes[role][0]}x{sizes[role][1]}: all images of a "
+                        "camera must have one size"
                     )
             for role, detection in found.items():
                 detections[shot.name, role] = detection

@@ -39,7 +39,8 @@ class Source:
 
     ``paths`` is one bag, folder, pattern or ``sim:PRESET``, or one folder or pattern a role.
     ``topics`` names an image topic a role.  ``limit`` shots at most are taken; ``tolerance_ms`` is
-    the largest stamp difference of a pair from a recording.
+    the largest stamp difference of a pair from a recording.  ``seed`` and ``settings``
+    (``key=value``) shape a simulated run.
     """
 
     paths: tuple[str, ...]
@@ -47,6 +48,7 @@ class Source:
     limit: int = 120
     tolerance_ms: float = 10.0
     seed: int = 0
+    settings: tuple[str, ...] = ()
 
 
 def image_shots(source: Source, roles: Sequence[str]) -> list[ImageShot]:
@@ -59,8 +61,7 @@ def image_shots(source: Source, roles: Sequence[str]) -> list[ImageShot]:
     if len(source.paths) != 1:
         raise DatasetError(
             f"{len(source.paths)} sources given for {len(roles)} cameras: give one recording, or "
-            "one "
-            "folder of images a camera"
+            "one folder of images a camera"
         )
     (text,) = source.paths
     path = Path(text)
@@ -86,7 +87,8 @@ def simulated_truth(source: Source) -> RigCalibration | None:
 
     if len(source.paths) != 1 or not source.paths[0].startswith(SIMULATED):
         return None
-    return open_dataset(source.paths[0], SourceOptions(seed=source.seed))[0].calibration()
+    options = SourceOptions(seed=source.seed, overrides=source.settings)
+    return open_dataset(source.paths[0], options)[0].calibration()
 
 
 def _is_pattern(text: str) -> bool:
@@ -128,8 +130,7 @@ def _paired_files(places: Mapping[str, str]) -> list[ImageShot]:
         told = " and ".join(f"{text}" for text in places.values())
         raise DatasetError(
             f"no image of {told} belongs to another: files pair by the digits in their names, as "
-            "in "
-            "left07.png and right07.png"
+            "in left07.png and right07.png"
         )
     return [
         ImageShot(key, {role: partial(read_grey, path) for role, path in found.items()})
@@ -150,9 +151,8 @@ def _thinned(shots: list[ImageShot], limit: int) -> list[ImageShot]:
 
 def _recorded(source: Source, roles: Sequence[str]) -> list[ImageShot]:
     frames, count = _open(source, roles)
-    length = max(1, -(-count // source.limit))
     shots: list[ImageShot] = []
-    for stretch in _stretches(_instants(frames, roles, source.tolerance_ms), length):
+    for stretch in _stretches(_instants(frames, roles, source.tolerance_ms), count, source.limit):
         stillest = _stillest(stretch)
         shots.append(
             ImageShot(
@@ -180,7 +180,8 @@ def _open(source: Source, roles: Sequence[str]) -> tuple[Iterator[RawFrame], int
     is_bag |= path.is_dir() and any(p.suffix in BAG_SUFFIXES for p in path.iterdir())
     if is_bag and not text.startswith(SIMULATED):
         return _open_bag(path, source.topics, roles)
-    dataset, _ = open_dataset(text, SourceOptions(seed=source.seed))
+    options = SourceOptions(seed=source.seed, overrides=source.settings)
+    dataset, _ = open_dataset(text, options)
     if not set(roles) <= set(dataset.cameras):
         raise DatasetError(
             f"{text} has the cameras {', '.join(dataset.cameras)}, not {' and '.join(roles)}: name "
@@ -212,8 +213,7 @@ def _open_bag(
         if len(named) > 1:
             raise DatasetError(
                 f"the bag {path} has several image topics ({', '.join(sorted(counts))}): choose "
-                "one "
-                "with --topics"
+                "one with --topics"
             )
         chosen = {roles[0]: named[0]}
     else:
@@ -273,15 +273,16 @@ class _Instant:
     motion: float
 
 
-def _stretches(instants: Iterator[dict[str, RawFrame]], length: int) -> Iterator[list[_Instant]]:
-    """Stretches of ``length`` instants; frames that repeat the one before are left out.
+def _stretches(
+    instants: Iterator[dict[str, RawFrame]], count: int, parts: int
+) -> Iterator[list[_Instant]]:
+    """``count`` instants in ``parts`` even stretches; frames that repeat the one before drop out.
 
     A camera repeats its last image during a flat-field correction: it looks still and is not.
     """
     before: dict[str, Image] = {}
     stretch: list[_Instant] = []
-    taken = 0
-    for frames in instants:
+    for taken, frames in enumerate(instants, 1):
         motion = 0.0
         frozen = False
         for role, frame in frames.items():
@@ -289,16 +290,14 @@ def _stretches(instants: Iterator[dict[str, RawFrame]], length: int) -> Iterator
             if role in before and before[role].shape == small.shape:
                 change = float(np.mean(np.abs(small - before[role])))
                 spread = float(small.std())
-                frozen |= change == 0.0 and spread > 0.0 and length > 1
+                frozen |= change == 0.0 and spread > 0.0 and count > parts
                 motion = max(motion, change / max(spread, 1e-6))
             before[role] = small
-        taken += 1
         if not frozen:
             stretch.append(_Instant(frames, motion))
-        if taken == length:
-            if stretch:
-                yield stretch
-            stretch, taken = [], 0
+        if taken * parts // count > (taken - 1) * parts // count and stretch:
+            yield stretch
+            stretch = []
     if stretch:
         yield stretch
 

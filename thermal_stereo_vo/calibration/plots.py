@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _BLUE, _ORANGE = "#0072B2", "#D55E00"
 _DPI = 110
-_ARROW_GAIN = 100.0
+_ARROW_PX = 30.0
 
 
 def coverage_picture(result: CalibrationResult) -> bytes:
@@ -51,27 +51,34 @@ def residual_picture(result: CalibrationResult) -> bytes:
     figure = _figure(2 * count, 3.4)
     cells = _row(figure, 2 * count)
     largest = max(float(np.percentile(np.abs(r[:, 2:]), 99)) for r in result.residuals.values())
+    gain = _round_gain(_ARROW_PX / max(largest, 1e-6))
     for k, (role, camera) in enumerate(result.cameras.items()):
         x, y, dx, dy = result.residuals[role].T
         width, height = camera.camera.size
         axes = cells[2 * k]
         axes.quiver(
-            x, y, _ARROW_GAIN * dx, _ARROW_GAIN * dy, angles="xy", scale_units="xy", scale=1.0,
+            x, y, gain * dx, gain * dy, angles="xy", scale_units="xy", scale=1.0,
             color=_BLUE, width=0.002,
         )  # fmt: skip
         _as_image(axes, width, height)
-        axes.set_title(f"{role}: residuals x {_ARROW_GAIN:.0f}")
+        axes.set_title(f"{role}: residuals x {gain:.0f}")
         axes = cells[2 * k + 1]
         axes.plot(dx, dy, ".", color=_BLUE, markersize=2)
         axes.axhline(0.0, color="0.7", linewidth=0.8)
         axes.axvline(0.0, color="0.7", linewidth=0.8)
-        limit = max(1.3 * largest, 0.1)
+        limit = max(1.3 * largest, 0.02)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), xlabel="x [px]", ylabel="y [px]")
         axes.set_aspect("equal")
         axes.set_title(
             f"{role}: mean {camera.training.mean_px:.3f}, rms {camera.training.rms_px:.3f} px"
         )
     return _png(figure)
+
+
+def _round_gain(gain: float) -> float:
+    """The largest of 1, 2, 5, 10, 20, ... that is not above."""
+    decade = 10.0 ** np.floor(np.log10(gain))
+    return float(max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= gain))
 
 
 def view_picture(result: CalibrationResult) -> bytes:

@@ -77,11 +77,9 @@ def figure_lines(result: CalibrationResult) -> list[str]:
         how = f"held out ({pair.held_out_how})" if pair.held_out is not None else "training views"
         lines.append(
             f"epipolar error 1-2 {errors.epipolar_12_px:.3f} px, 2-1 {errors.epipolar_21_px:.3f} "
-            "px; "
-            f"corner spacing {errors.spacing_error_percent:+.3f} %, board distance "
+            f"px; corner spacing {errors.spacing_error_percent:+.3f} %, board distance "
             f"{errors.distance_error_percent:+.3f} %, relative yaw "
-            f"{1e3 * errors.yaw_error_rad:+.3f} "
-            f"mrad; {how}"
+            f"{1e3 * errors.yaw_error_rad:+.3f} mrad; {how}"
         )
     return lines
 

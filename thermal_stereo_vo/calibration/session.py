@@ -148,8 +148,7 @@ def verify_and_tell(
         if gathered.sizes[role] != calibration[role].camera.size:
             raise CalibrationError(
                 f"the images of the {role} camera are {gathered.sizes[role]} pixels, the "
-                "calibration "
-                f"is for {calibration[role].camera.size}"
+                f"calibration is for {calibration[role].camera.size}"
             )
     views = _same_ends(gathered, calibration, roles, target)
     verdict = verify(calibration, roles, target, views)
@@ -217,8 +216,7 @@ def _tell_views(
 
 def _missing(gathered: Gathered, roles: Sequence[str]) -> list[str]:
     return [
-        f"{role}: the board was found in {gathered.found(role)} of {gathered.seen(role)} images "
-        "only"
+        f"{role}: board found in only {gathered.found(role)} of {gathered.seen(role)} images"
         for role in roles
         if gathered.found(role) < 0.5 * gathered.seen(role)
     ]

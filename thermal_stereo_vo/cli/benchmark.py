@@ -13,6 +13,7 @@ MEASUREMENTS = {
     "gaps": "accuracy with pairs replaced by copies or a shutter",
     "ffc": "simulated flights with and without flat-field corrections",
     "solvers": "Gauss-Newton, Levenberg-Marquardt and Double Dogleg on the same problems",
+    "calibration": "simulated board views against the true rig, and a flight with the result",
     "table5": "nine simulated flights by every method: Table V of the paper",
     "simulate": "pictures a second, processor time and memory of the simulator",
     "radiometry": "flat field, gate and scene-based refinement on real recordings",
