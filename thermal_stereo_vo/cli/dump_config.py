@@ -6,12 +6,20 @@ import argparse
 
 from thermal_stereo_vo.cli.config_arguments import add_config_arguments, load_config
 
+MARKDOWN_HEAD = """\
+# Parameters
+
+Every setting of the pipeline, for `--set`, YAML files and ROS parameters. Generated: \
+`python3 -m thermal_stereo_vo dump-config --markdown`.
+
+"""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``dump-config``."""
     add_config_arguments(parser)
     parser.add_argument(
-        "--markdown", action="store_true", help="a table instead of YAML, as in docs/parameters.md"
+        "--markdown", action="store_true", help="docs/parameters.md, a table, instead of YAML"
     )
     parser.add_argument(
         "--capture",
@@ -31,5 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.core.config import dump_yaml, markdown_table
 
     config = load_config(args)
-    print(markdown_table(type(config)) if args.markdown else dump_yaml(config), end="")
+    print(
+        MARKDOWN_HEAD + markdown_table(type(config)) if args.markdown else dump_yaml(config), end=""
+    )
     return 0

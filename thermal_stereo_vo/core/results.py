@@ -27,7 +27,11 @@ class TrackingStatus(Enum):
 
 @dataclass(frozen=True)
 class TrackStats:
-    """Counts and figures of one ``process`` call; zero where a stage did not run."""
+    """Counts and figures of one ``process`` call; zero where a stage did not run.
+
+    ``epipolar_dy_px`` is the median row of the right eye less that of the left, ``right_turn_mrad``
+    what the method found of pitch, yaw and roll of the right eye that calibration left.
+    """
 
     features: int = 0
     matches: int = 0
@@ -36,6 +40,7 @@ class TrackStats:
     iterations: int = 0
     evaluations: int = 0
     epipolar_dy_px: float = 0.0
+    right_turn_mrad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     keyframe: bool = False
     stage_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
 

@@ -272,6 +272,7 @@ def status_fields(result: OdometryResult, *, name: str = "odometry") -> Diagnost
         "iterations": str(stats.iterations),
         "evaluations": str(stats.evaluations),
         "epipolar_dy_px": f"{stats.epipolar_dy_px:.3f}",
+        "right_turn_mrad": " ".join(f"{angle:.3f}" for angle in stats.right_turn_mrad),
         "keyframe": str(stats.keyframe).lower(),
     }
     values |= {f"{stage}_ms": f"{ms:.3f}" for stage, ms in stats.stage_ms.items()}

@@ -34,7 +34,7 @@ class BundleProblem:
 
     ``T_k_w`` (K, 4, 4) keyframes, oldest first, the oldest held fixed; points with ``hosts`` (N,)
     index of keyframe, ``bearings`` (N, 3), ``rhos`` (N,) 1/m; ``observed`` (K, N, 4) px with NaN
-    where unseen; ``weights`` (K, N).
+    where unseen; ``weights`` (K, N); ``eyes`` (9,), see ``KeyframeWindow.eyes``.
     """
 
     T_k_w: NDArray[np.float64]
@@ -43,7 +43,7 @@ class BundleProblem:
     rhos: NDArray[np.float64]
     observed: NDArray[np.float64]
     weights: NDArray[np.float64]
-    camera: NDArray[np.float64]
+    eyes: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,9 @@ class BundleSolution:
 
     ``T_k_w`` (K, 4, 4); ``rhos`` (N,) with ``rho_information`` (N,) px^2 m^2 given the poses;
     ``covariance`` (6 (K-1), 6 (K-1)) of the left perturbations of all keyframes but the oldest;
-    ``residuals`` (K, N, 4) px.
+    ``residuals`` (K, N, 4) px.  ``turn_information`` (3, 3) 1/rad^2 and ``turn_score`` (3,) 1/rad
+    say how a turn of the right eye would lower the cost further: by about
+    ``information^-1 score``, everything else adjusted.
     """
 
     T_k_w: NDArray[np.float64]
@@ -62,6 +64,8 @@ class BundleSolution:
     residuals: NDArray[np.float64]
     sigma_px: float
     iterations: int
+    turn_information: NDArray[np.float64]
+    turn_score: NDArray[np.float64]
 
 
 def adjust_bundle(
@@ -74,7 +78,7 @@ def adjust_bundle(
     A, g = np.zeros((free, free)), np.zeros(free)
     W, h_rho, b_rho = np.zeros((len(rhos), free)), np.zeros(len(rhos)), np.zeros(len(rhos))
     fixed = (
-        problem.hosts, problem.bearings, problem.observed, problem.weights, problem.camera,
+        problem.hosts, problem.bearings, problem.observed, problem.weights, problem.eyes,
     )  # fmt: skip
     done = 0
     sigma_px = sigma_floor_px
@@ -89,13 +93,26 @@ def adjust_bundle(
     unit_covariance = inverse_information(A)
     if unit_covariance is None:
         return None
-    return BundleSolution(T, rhos, h_rho, sigma_px**2 * unit_covariance, residuals, sigma_px, done)
+    D, d = np.zeros((3, 3)), np.zeros(3)
+    turn_information(T, rhos, *fixed, 2.385 * sigma_px, unit_covariance, g, W, h_rho, b_rho, D, d)
+    return BundleSolution(
+        T,
+        rhos,
+        h_rho,
+        sigma_px**2 * unit_covariance,
+        residuals,
+        sigma_px,
+        done,
+        D / sigma_px**2,
+        d / sigma_px**2,
+    )
 
 
 @njit(cache=True, nogil=True)
-def window_residuals(T, rhos, hosts, bearings, observed, weights, camera, out):  # type: ignore[no-untyped-def]
+def window_residuals(T, rhos, hosts, bearings, observed, weights, eyes, out):  # type: ignore[no-untyped-def]
     """Write (K, N, 4) residuals in px; NaN where unseen or without weight."""
-    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
     for n in range(len(hosts)):
         for c in range(len(T)):
             relative_transform(T[c], T[hosts[n]], R, t)
@@ -103,7 +120,7 @@ def window_residuals(T, rhos, hosts, bearings, observed, weights, camera, out): 
             for k in range(COMPONENTS):
                 out[c, n, k] = np.nan
                 if weights[c, n] > 0.0 and counts(k, c, hosts[n], observed[c, n]):
-                    out[c, n, k] = residual_row(k, p, rhos[n], observed[c, n, k], camera, row)
+                    out[c, n, k] = residual_row(k, p, rhos[n], observed[c, n, k], eyes, row, q)
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +133,7 @@ def counts(component, camera_index, host, observation):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True)
 def linearise_bundle(  # type: ignore[no-untyped-def]
-    T, rhos, hosts, bearings, observed, weights, camera, width, A, g, W, h_rho, b_rho
+    T, rhos, hosts, bearings, observed, weights, eyes, width, A, g, W, h_rho, b_rho
 ):
     """Reduced normal equations ``A`` (6F, 6F), ``g`` (6F,) of the F = K - 1 free keyframes.
 
@@ -124,9 +141,10 @@ def linearise_bundle(  # type: ignore[no-untyped-def]
     For T = T_c T_h^-1 and left perturbations: dp = [rho I, -skew(p)] of the camera,
     dp = -R [rho I, -skew(b)] of the host, dp = t of the inverse depth.
     """
-    baseline = camera[5]
+    baseline = eyes[5]
     keyframes = len(T)
-    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
     rotated, Jc, Jh = np.empty(3), np.empty(6), np.empty(6)
     A[:] = 0.0
     g[:] = 0.0
@@ -146,13 +164,13 @@ def linearise_bundle(  # type: ignore[no-untyped-def]
             for k in range(COMPONENTS):
                 if not counts(k, c, h, observed[c, n]):
                     continue
-                r = residual_row(k, p, rho, observed[c, n, k], camera, row)
+                r = residual_row(k, p, rho, observed[c, n, k], eyes, row, q)
                 if np.isnan(r):
                     continue
                 weight = weights[c, n] * cauchy_weight(r, width)
                 cost += weights[c, n] * cauchy_cost(r, width)
                 j_rho = row[0] * t[0] + row[1] * t[1] + row[2] * t[2]
-                if k == 2:
+                if k >= 2:
                     j_rho -= row[0] * baseline
                 h_rho[n] += weight * j_rho * j_rho
                 b_rho[n] += weight * j_rho * r
@@ -198,8 +216,85 @@ def linearise_bundle(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def turn_information(  # type: ignore[no-untyped-def]
+    T, rhos, hosts, bearings, observed, weights, eyes, width, A_inverse, g, W, h_rho, b_rho, D, d
+):
+    """Reduced normal equations ``D`` (3, 3), ``d`` (3,) of a turn of the right eye.
+
+    ``A_inverse``, ``g``, ``W``, ``h_rho`` and ``b_rho`` as ``linearise_bundle`` left them at the
+    minimum.  Only the columns of the right eye count: they tell a turn from motion by points of
+    different depth.  The turned point is q = p + turn x p.
+    """
+    baseline = eyes[5]
+    keyframes, free = len(T), len(g)
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
+    J, Jc, Jh, rotated = np.empty(3), np.empty(6), np.empty(6), np.empty(3)
+    cross, to_rho = np.zeros((3, free)), np.empty(3)
+    D[:] = 0.0
+    d[:] = 0.0
+    for n in range(len(hosts)):
+        h, rho, b = hosts[n], rhos[n], bearings[n]
+        to_rho[:] = 0.0
+        if h_rho[n] <= 0.0:
+            continue
+        for c in range(keyframes):
+            if weights[c, n] <= 0.0 or not counts(2, c, h, observed[c, n]):
+                continue
+            relative_transform(T[c], T[h], R, t)
+            point_in_camera(R, t, b, rho, p)
+            r = residual_row(2, p, rho, observed[c, n, 2], eyes, row, q)
+            if np.isnan(r):
+                continue
+            weight = weights[c, n] * cauchy_weight(r, width)
+            iz = 1.0 / q[2]
+            across, along = eyes[0] * iz, -eyes[0] * q[0] * iz * iz
+            x, y, z = p[0] - rho * baseline, p[1], p[2]
+            J[0], J[1], J[2] = along * y, across * z - along * x, -across * y
+            j_rho = row[0] * (t[0] - baseline) + row[1] * t[1] + row[2] * t[2]
+            for i in range(3):
+                d[i] += weight * J[i] * r
+                to_rho[i] += weight * J[i] * j_rho
+                for m in range(3):
+                    D[i, m] += weight * J[i] * J[m]
+            if c == h:
+                continue
+            Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
+            Jc[3] = p[1] * row[2] - p[2] * row[1]
+            Jc[4] = p[2] * row[0] - p[0] * row[2]
+            Jc[5] = p[0] * row[1] - p[1] * row[0]
+            for i in range(3):
+                rotated[i] = row[0] * R[0, i] + row[1] * R[1, i] + row[2] * R[2, i]
+            Jh[0], Jh[1], Jh[2] = -rho * rotated[0], -rho * rotated[1], -rho * rotated[2]
+            Jh[3] = -(b[1] * rotated[2] - b[2] * rotated[1])
+            Jh[4] = -(b[2] * rotated[0] - b[0] * rotated[2])
+            Jh[5] = -(b[0] * rotated[1] - b[1] * rotated[0])
+            for i in range(3):
+                for m in range(6):
+                    if c > 0:
+                        cross[i, 6 * (c - 1) + m] += weight * J[i] * Jc[m]
+                    if h > 0:
+                        cross[i, 6 * (h - 1) + m] += weight * J[i] * Jh[m]
+        for i in range(3):
+            factor = to_rho[i] / h_rho[n]
+            d[i] -= factor * b_rho[n]
+            for m in range(3):
+                D[i, m] -= factor * to_rho[m]
+            for m in range(free):
+                cross[i, m] -= factor * W[n, m]
+    for i in range(3):
+        for m in range(free):
+            total = 0.0
+            for k in range(free):
+                total += cross[i, k] * A_inverse[k, m]
+            d[i] -= total * g[m]
+            for k in range(3):
+                D[i, k] -= total * cross[k, m]
+
+
+@njit(cache=True, nogil=True)
 def iterate_bundle(  # type: ignore[no-untyped-def]
-    T, rhos, hosts, bearings, observed, weights, camera, width, iterations, A, g, W, h_rho, b_rho
+    T, rhos, hosts, bearings, observed, weights, eyes, width, iterations, A, g, W, h_rho, b_rho
 ):
     """Levenberg-Marquardt in place; returns the iterations used, -1 when there is no solution."""
     free = len(g)
@@ -209,7 +304,7 @@ def iterate_bundle(  # type: ignore[no-untyped-def]
     damped, step = np.zeros_like(A), np.zeros(free)
     damping = 1e-6
     cost = linearise_bundle(
-        T, rhos, hosts, bearings, observed, weights, camera, width, A, g, W, h_rho, b_rho
+        T, rhos, hosts, bearings, observed, weights, eyes, width, A, g, W, h_rho, b_rho
     )
     for iteration in range(iterations):
         damped[:] = A
@@ -224,7 +319,7 @@ def iterate_bundle(  # type: ignore[no-untyped-def]
                 delta = (b_rho[n] - np.dot(W[n], step)) / h_rho[n]
                 rhos_new[n] = max(rhos[n] + delta, RHO_MIN)
         new_cost = linearise_bundle(
-            T_new, rhos_new, hosts, bearings, observed, weights, camera, width,
+            T_new, rhos_new, hosts, bearings, observed, weights, eyes, width,
             A_new, g_new, W_new, h_new, b_new,
         )  # fmt: skip
         if new_cost <= cost:

@@ -44,7 +44,7 @@ def refine_frame_pose(
     rho_information: NDArray[np.float64],
     observed: NDArray[np.float64],
     weights: NDArray[np.float64],
-    camera: NDArray[np.float64],
+    eyes: NDArray[np.float64],
     *,
     sigma_floor_px: float,
     iterations: int = 12,
@@ -62,16 +62,16 @@ def refine_frame_pose(
     sigma_px = 4.0 * sigma_floor_px
     for round_ in range(2):
         # Two rounds: the first kernel is wide, the second as wide as the noise that was found.
-        frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, residuals)
+        frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, eyes, residuals)
         sigma_px = max(robust_sigma(residuals), sigma_floor_px)
         if round_ == 0:
             sigma_px *= 2.0
         if not iterate_frame_pose(
-            T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, camera,
+            T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, eyes,
             2.385 * sigma_px, iterations, A, g,
         ):  # fmt: skip
             return None
-    frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, residuals)
+    frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, eyes, residuals)
     unit_covariance = inverse_information(A)
     if unit_covariance is None:
         return None
@@ -85,9 +85,10 @@ def robust_sigma(residuals: NDArray[np.float64]) -> float:
 
 
 @njit(cache=True, nogil=True)
-def frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, out):  # type: ignore[no-untyped-def]
+def frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, eyes, out):  # type: ignore[no-untyped-def]
     """Write the (N, 4) residuals in px, NaN for components that do not count."""
-    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
     last = -1
     for n in range(len(hosts)):
         if hosts[n] != last:
@@ -97,19 +98,20 @@ def frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, camera, out):  
         for k in range(COMPONENTS):
             out[n, k] = np.nan
             if uses_component(k, observed[n]):
-                out[n, k] = residual_row(k, p, rhos[n], observed[n, k], camera, row)
+                out[n, k] = residual_row(k, p, rhos[n], observed[n, k], eyes, row, q)
 
 
 @njit(cache=True, nogil=True)
 def linearise_frame(  # type: ignore[no-untyped-def]
-    T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, camera, width, A, g
+    T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, eyes, width, A, g
 ):
     """Normal equations of the pose, inverse depths eliminated (Schur); returns the cost.
 
     Left perturbation T <- Exp(delta) T: dp = [rho I, -skew(p)] delta and dp = t drho.
     """
-    baseline = camera[5]
-    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    baseline = eyes[5]
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
     J, w = np.empty(6), np.empty(6)
     A[:] = 0.0
     g[:] = 0.0
@@ -126,7 +128,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
         for k in range(COMPONENTS):
             if not uses_component(k, observed[n]):
                 continue
-            r = residual_row(k, p, rho, observed[n, k], camera, row)
+            r = residual_row(k, p, rho, observed[n, k], eyes, row, q)
             if np.isnan(r):
                 continue
             weight = weights[n] * cauchy_weight(r, width)
@@ -137,7 +139,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
             J[4] = p[2] * row[0] - p[0] * row[2]
             J[5] = p[0] * row[1] - p[1] * row[0]
             j_rho = row[0] * t[0] + row[1] * t[1] + row[2] * t[2]
-            if k == 2:
+            if k >= 2:
                 j_rho -= row[0] * baseline
             h_rho += weight * j_rho * j_rho
             b_rho += weight * j_rho * r
@@ -160,7 +162,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def iterate_frame_pose(  # type: ignore[no-untyped-def]
-    T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, camera, width,
+    T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, eyes, width,
     iterations, A, g
 ):  # fmt: skip
     """Damped Gauss-Newton on the pose alone; ``T``, ``A`` and ``g`` end at the minimum."""
@@ -168,7 +170,7 @@ def iterate_frame_pose(  # type: ignore[no-untyped-def]
     damped, A_new, g_new = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
     damping = 1e-6
     cost = linearise_frame(
-        T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, camera, width, A, g
+        T, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, eyes, width, A, g
     )
     for _ in range(iterations):
         damped[:] = A
@@ -178,7 +180,7 @@ def iterate_frame_pose(  # type: ignore[no-untyped-def]
             return False
         retract(T, step, T_new)
         new_cost = linearise_frame(
-            T_new, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, camera,
+            T_new, T_hosts, hosts, bearings, rhos, rho_information, observed, weights, eyes,
             width, A_new, g_new,
         )  # fmt: skip
         if new_cost <= cost:
@@ -209,7 +211,7 @@ def prosac_samples(rng: np.random.Generator, count: int, iterations: int) -> NDA
 
 @njit(cache=True, nogil=True)
 def ransac_frame_pose(  # type: ignore[no-untyped-def]
-    T_start, T_hosts, hosts, bearings, rhos, observed, camera, samples, inlier_px, confidence
+    T_start, T_hosts, hosts, bearings, rhos, observed, eyes, samples, inlier_px, confidence
 ):
     """Best of many 3-point poses by the number of inliers; works with one eye or two.
 
@@ -221,7 +223,7 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
     A, g, step = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     best_T, T, T_new = T_start.copy(), T_start.copy(), T_start.copy()
     chosen = np.empty(n, np.bool_)
-    best = mark_inliers(best_T, T_hosts, hosts, bearings, rhos, observed, camera, inlier_px, chosen)
+    best = mark_inliers(best_T, T_hosts, hosts, bearings, rhos, observed, eyes, inlier_px, chosen)
     needed = len(samples)
     for s in range(len(samples)):
         if s >= needed:
@@ -235,7 +237,7 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
         T[:] = T_start
         good = False
         for _ in range(15):
-            linearise_frame(T, T_hosts, h3, b3, r3, firm, o3, ones, camera, 1e6, A, g)
+            linearise_frame(T, T_hosts, h3, b3, r3, firm, o3, ones, eyes, 1e6, A, g)
             for i in range(6):
                 A[i, i] = A[i, i] * (1.0 + 1e-9) + 1e-12
             if not solve_positive(A, g, step):
@@ -250,7 +252,7 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
                 break
         if not good:
             continue
-        count = mark_inliers(T, T_hosts, hosts, bearings, rhos, observed, camera, inlier_px, chosen)
+        count = mark_inliers(T, T_hosts, hosts, bearings, rhos, observed, eyes, inlier_px, chosen)
         if count > best:
             best = count
             best_T[:] = T
@@ -264,10 +266,11 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def mark_inliers(  # type: ignore[no-untyped-def]
-    T, T_hosts, hosts, bearings, rhos, observed, camera, inlier_px, out
+    T, T_hosts, hosts, bearings, rhos, observed, eyes, inlier_px, out
 ):
     """Write (N,) bool, whether every seen component is within ``inlier_px``; returns how many."""
-    R, t, p, row = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
+    row, q = np.empty(3), np.empty(3)
     last, count = -1, 0
     for n in range(len(hosts)):
         if hosts[n] != last:
@@ -277,7 +280,7 @@ def mark_inliers(  # type: ignore[no-untyped-def]
         good, seen = True, 0
         for k in range(COMPONENTS):
             if uses_component(k, observed[n]):
-                r = residual_row(k, p, rhos[n], observed[n, k], camera, row)
+                r = residual_row(k, p, rhos[n], observed[n, k], eyes, row, q)
                 seen += 1
                 # A NaN fails the comparison, as it should.
                 good = good and abs(r) < inlier_px

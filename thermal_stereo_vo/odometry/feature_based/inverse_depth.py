@@ -3,7 +3,8 @@
 A point is the centre of a patch of its host: bearing b = (x, y, 1) there and inverse depth rho.
 With T = T_camera_host = (R, t) it appears in another rectified pair at the projection of
 p = R b + rho t (the true point times rho), so that rho = 0, a point at infinity, is no special
-case.  The right eye sees p - rho (baseline, 0, 0).  Fixed triangulated points bias the motion (the
+case.  The right eye sees p - rho (baseline, 0, 0), turned by the small rotation that is left of the
+extrinsics after rectification.  Fixed triangulated points bias the motion (the
 noise of a disparity does not average out of 1 / disparity); free inverse depths do not.
 """
 
@@ -47,27 +48,46 @@ def point_in_camera(R, t, bearing, rho, p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def residual_row(component, p, rho, observed, camera, row):  # type: ignore[no-untyped-def]
+def in_right_eye(p, rho, eyes, q):  # type: ignore[no-untyped-def]
+    """Write the point as the right eye sees it (3,): moved by the baseline, then turned."""
+    baseline, turn_x, turn_y, turn_z = eyes[5:]
+    x, y, z = p[0] - rho * baseline, p[1], p[2]
+    q[0] = x + turn_y * z - turn_z * y
+    q[1] = y + turn_z * x - turn_x * z
+    q[2] = z + turn_x * y - turn_y * x
+
+
+@njit(cache=True, nogil=True)
+def residual_row(component, p, rho, observed, eyes, row, q):  # type: ignore[no-untyped-def]
     """Residual (px) of one component of an observation; NaN when it cannot be had.
 
-    Writes to ``row`` (3,) the derivative of the predicted pixel with respect to the point in that
-    eye's axes.
+    Writes to ``row`` (3,) the derivative of the predicted pixel with respect to ``p``; ``q`` (3,)
+    is room for the point in axes of the eye, which stays there.
     """
-    fx, fy, cx, cy, cx_right, baseline = camera
-    if p[2] <= 1e-6:
+    fx, fy, cx, cy, cx_right = eyes[:5]
+    if component < 2:
+        q[0], q[1], q[2] = p[0], p[1], p[2]
+    else:
+        in_right_eye(p, rho, eyes, q)
+    if q[2] <= 1e-6:
         return np.nan
-    iz = 1.0 / p[2]
+    iz = 1.0 / q[2]
+    row[0] = row[1] = 0.0
     if component == 0 or component == 2:
-        x = p[0] if component == 0 else p[0] - rho * baseline
-        centre = cx if component == 0 else cx_right
         row[0] = fx * iz
-        row[1] = 0.0
-        row[2] = -fx * x * iz * iz
-        return observed - (fx * x * iz + centre)
-    row[0] = 0.0
-    row[1] = fy * iz
-    row[2] = -fy * p[1] * iz * iz
-    return observed - (fy * p[1] * iz + cy)
+        row[2] = -fx * q[0] * iz * iz
+        predicted = fx * q[0] * iz + (cx if component == 0 else cx_right)
+    else:
+        row[1] = fy * iz
+        row[2] = -fy * q[1] * iz * iz
+        predicted = fy * q[1] * iz + cy
+    if component >= 2:
+        turn_x, turn_y, turn_z = eyes[6:]
+        a, b, c = row[0], row[1], row[2]
+        row[0] = a + b * turn_z - c * turn_y
+        row[1] = b - a * turn_z + c * turn_x
+        row[2] = c + a * turn_y - b * turn_x
+    return observed - predicted
 
 
 @njit(cache=True, nogil=True)
@@ -91,14 +111,14 @@ def cauchy_cost(residual, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def predict_pixels(T_c_w, T_h_w, hosts, bearings, rhos, camera, step_px, pixels, warps):  # type: ignore[no-untyped-def]
+def predict_pixels(T_c_w, T_h_w, hosts, bearings, rhos, eyes, step_px, pixels, warps):  # type: ignore[no-untyped-def]
     """Where N points should appear, and how their patches are warped on the way.
 
     ``T_h_w`` (slots, 4, 4), ``hosts`` (N,) int64, ``bearings`` (N, 3), ``rhos`` (N,).  Writes
     ``pixels`` (N, 4) uL vL uR vR, NaN behind the camera, and ``warps`` (N, 2, 2), the derivative of
     the left pixel with respect to the host's pixel for a patch that faces the host.
     """
-    fx, fy, cx, cy, cx_right, baseline = camera
+    fx, fy, cx, cy, cx_right = eyes[:5]
     R, t, p, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     moved = np.empty(3)
     last = -1
@@ -108,12 +128,14 @@ def predict_pixels(T_c_w, T_h_w, hosts, bearings, rhos, camera, step_px, pixels,
             relative_transform(T_c_w, T_h_w[last], R, t)
         rho = rhos[n]
         point_in_camera(R, t, bearings[n], rho, p)
-        if p[2] <= 1e-3:
+        in_right_eye(p, rho, eyes, q)
+        if p[2] <= 1e-3 or q[2] <= 1e-3:
             pixels[n] = np.nan
             continue
         pixels[n, 0] = fx * p[0] / p[2] + cx
-        pixels[n, 1] = pixels[n, 3] = fy * p[1] / p[2] + cy
-        pixels[n, 2] = fx * (p[0] - rho * baseline) / p[2] + cx_right
+        pixels[n, 1] = fy * p[1] / p[2] + cy
+        pixels[n, 2] = fx * q[0] / q[2] + cx_right
+        pixels[n, 3] = fy * q[1] / q[2] + cy
         for axis in range(2):
             moved[:] = bearings[n]
             moved[axis] += step_px / (fx if axis == 0 else fy)
@@ -128,7 +150,12 @@ def predict_pixels_reference(
     bearings: NDArray[np.float64],
     rhos: NDArray[np.float64],
     camera: StereoCamera,
+    right_turn_rad: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(N, 4) uL vL uR vR of points of one host, the plain numpy form."""
     points = bearings / rhos[:, None] @ T_c_h[:3, :3].T + T_c_h[:3, 3]
-    return camera.project(points)
+    pixels = camera.project(points)
+    right = points - [camera.baseline_m, 0.0, 0.0]
+    turned = camera.project(right + np.cross(right_turn_rad, right))
+    pixels[:, 2:] = turned[:, :2] + [camera.cx_right - camera.cx, 0.0]
+    return pixels

@@ -60,6 +60,8 @@ class KeyframeWindow:
         self, keyframes: int, capacity: int, shape: tuple[int, int], camera: StereoCamera
     ) -> None:
         self.camera = camera
+        self.right_turn_rad = np.zeros(3)
+        """(3,) what is left of the extrinsics: the right eye sees a point p at p + turn x p."""
         self._room = keyframes
         self.images = KeyframeImages(keyframes, shape)
         self.T_keyframe_world = np.tile(np.eye(4), (keyframes, 1, 1))
@@ -75,6 +77,11 @@ class KeyframeWindow:
         # The oldest keyframe is held fixed: its uncertainty is that of the world behind it.
         self._oldest_covariance = np.zeros((6, 6))
         self._relative_covariance: dict[int, NDArray[np.float64]] = {}
+
+    @property
+    def eyes(self) -> NDArray[np.float64]:
+        """(9,) fx fy cx cy cx_right baseline_m, turn of the right eye, as the kernels take it."""
+        return np.concatenate([self.camera.parameters, self.right_turn_rad])
 
     @property
     def newest(self) -> int:
@@ -114,6 +121,10 @@ class KeyframeWindow:
             self._rho_information[index],
         )
 
+    def seen_by_newest(self) -> NDArray[np.float64]:
+        """(N, 4) px where the newest keyframe saw points, NaN where not."""
+        return np.asarray(self._observed[self.newest, self._hosts >= 0])
+
     def positions_m(self, points: WindowPoints) -> NDArray[np.float64]:
         """(N, 3) world coordinates."""
         in_host = points.bearings / points.rhos[:, None]
@@ -137,7 +148,7 @@ class KeyframeWindow:
             points.hosts,
             points.bearings,
             points.rhos,
-            self.camera.parameters,
+            self.eyes,
             step_px,
             predicted,
             warps,
@@ -234,7 +245,11 @@ class KeyframeWindow:
         free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
         pixels, right_x_px = pixels[: len(free)], right_x_px[: len(free)]
         camera, slot = self.camera, self.newest
-        disparity = (pixels[:, 0] - camera.cx) - (right_x_px - camera.cx_right)
+        x = (right_x_px - camera.cx_right) / camera.fx
+        y = (pixels[:, 1] - camera.cy) / camera.fy
+        turn = self.right_turn_rad
+        shift = turn[1] * (1.0 + x * x) - turn[0] * x * y - turn[2] * y
+        disparity = (pixels[:, 0] - camera.cx) - camera.fx * (x - shift)
         gain = camera.fx * camera.baseline_m
         self._hosts[free] = slot
         self._host_px[free] = pixels
@@ -262,7 +277,7 @@ class KeyframeWindow:
                 points.rhos,
                 np.ascontiguousarray(observed),
                 self.radial_weights(points.host_px, observed, radial_trust),
-                self.camera.parameters,
+                self.eyes,
             ),
             points.index,
         )

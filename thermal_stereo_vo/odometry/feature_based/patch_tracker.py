@@ -150,16 +150,16 @@ class PatchTracker:
         best_first = seen[np.argsort(-score[seen], kind="stable")]
         chosen = points.take(best_first)
         geometry = (window.T_keyframe_world, chosen.hosts, chosen.bearings, chosen.rhos)
-        pixels, camera = observed[best_first], window.camera.parameters
+        pixels, eyes = observed[best_first], window.eyes
         samples = prosac_samples(self._rng, len(chosen), config.ransac_iterations)
         count, T = ransac_frame_pose(
-            T_start, *geometry, pixels, camera, samples, config.inlier_px, 0.999
+            T_start, *geometry, pixels, eyes, samples, config.inlier_px, 0.999
         )
         if count < config.min_inliers:
             return None
         # The sample fixed depths that the refinement leaves free: be generous before it.
         marked = np.empty(len(chosen), np.bool_)
-        mark_inliers(T, *geometry, pixels, camera, 2.0 * config.inlier_px, marked)
+        mark_inliers(T, *geometry, pixels, eyes, 2.0 * config.inlier_px, marked)
         return self._refine(window, points, observed, np.sort(best_first[marked]), T)
 
     def _refine(
@@ -182,7 +182,7 @@ class PatchTracker:
             chosen.rho_information,
             pixels,
             window.radial_weights(chosen.host_px, pixels, config.radial_trust),
-            window.camera.parameters,
+            window.eyes,
             sigma_floor_px=config.sigma_floor_px,
         )
         if pose is None:
@@ -223,6 +223,7 @@ class _Alignment:
         """Fill ``observed`` (N, 4) and ``score`` (N,) from ``predicted`` (N, 4)."""
         left, right = pyramids
         start, top_level = predicted[:, 2:], LEVELS - 1
+        dy_px = predicted[:, 3] - predicted[:, 1]
         if left is not None:
             found = self._one_eye(left, predicted[:, :2], LEVELS - 1)
             observed[found, :2] = self._px[found]
@@ -231,14 +232,15 @@ class _Alignment:
             start = np.full((len(predicted), 2), np.nan)
             disparity = predicted[:, 0] - predicted[:, 2]
             start[found, 0] = self._px[found, 0] - disparity[found]
-            start[found, 1] = self._px[found, 1]
+            start[found, 1] = self._px[found, 1] + dy_px[found]
             top_level = 1
         if right is not None:
             found = self._one_eye(right, start, top_level)
             if left is None:
                 score[:] = self._score
             else:
-                found &= np.abs(self._px[:, 1] - observed[:, 1]) < self._config.row_tolerance_px
+                row_error_px = self._px[:, 1] - observed[:, 1] - dy_px
+                found &= np.abs(row_error_px) < self._config.row_tolerance_px
             observed[found, 2:] = self._px[found]
 
     def _one_eye(

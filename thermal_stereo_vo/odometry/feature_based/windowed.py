@@ -27,6 +27,10 @@ from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
     adjust_bundle,
 )
 from thermal_stereo_vo.odometry.feature_based.corners import CornerConfig
+from thermal_stereo_vo.odometry.feature_based.extrinsics import (
+    ExtrinsicsConfig,
+    ExtrinsicsRefiner,
+)
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig, FeatureMatcher
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import blindness
 from thermal_stereo_vo.odometry.feature_based.keyframe_window import KeyframeWindow
@@ -82,6 +86,7 @@ class WindowedConfig:
     corners: CornerConfig = group(CornerConfig, "Which points a keyframe gets.")
     tracking: TrackingConfig = group(TrackingConfig, "How patches are found again.")
     keyframes: KeyframeConfig = group(KeyframeConfig, "When a frame is kept.")
+    extrinsics: ExtrinsicsConfig = group(ExtrinsicsConfig, "The rotation between the eyes.")
     covariance_scale: float = setting(
         1.0,
         "Factor on covariances for what the residuals do not show.",
@@ -136,6 +141,7 @@ class WindowedOdometry:
         self._finish_bundle_unused()
         self._matcher.reset()
         self._tracker.reset()
+        self._extrinsics = ExtrinsicsRefiner(self._config.extrinsics, self._room)
         self._window: KeyframeWindow | None = None
         self._keyframe: RigFrame | None = None
         self._keyframe_features: StereoFeatures | None = None
@@ -215,6 +221,7 @@ class WindowedOdometry:
             inliers=tracked.count,
             rms_px=float(np.sqrt(np.nanmean(tracked.pose.residuals**2))),
             epipolar_dy_px=tracked.epipolar_dy_px(),
+            right_turn_mrad=self._extrinsics.turn_mrad,
             keyframe=is_keyframe,
         )
         T_now_before = inverse(pose.T_world_rig) @ self._last_measured.T_world_rig
@@ -306,6 +313,8 @@ class WindowedOdometry:
         self._bundle = None
         if solution is not None:
             window.apply(solution, self._bundle_index, self._config.tracking.outlier_sigmas)
+            self._extrinsics.learn(window, solution)
+            window.right_turn_rad = self._extrinsics.turn_rad
             # The last frame was that keyframe: the pose goes on from where it is now known to be.
             self._state.pose = self._last_measured = window.newest_pose()
 
@@ -333,6 +342,7 @@ class WindowedOdometry:
         camera = StereoCamera.of(left, right)
         capacity = 4 * self._config.corners.points
         window = KeyframeWindow(self._room, capacity, left.image.shape, camera)
+        window.right_turn_rad = self._extrinsics.turn_rad
         self._state.prior.forget()
         self._last_measured, self._last_measured_ns = self._state.pose, frame.stamp_ns
         self._add_keyframe(window, frame, self._pyramids(frame), None)
