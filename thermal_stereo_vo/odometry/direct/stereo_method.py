@@ -109,13 +109,12 @@ class StereoDirectOdometry:
     ) -> None:
         self._settings = (config, status, keyframes, threads)
         self._config = config
-        self._status_config = status
-        self._gyro = gyro
         self._room = keyframes
         self._worker = make_worker(threads, "odometry")
         self._tracker = FrameTracker(config.photometric)
         self._timer = StageTimer()
-        self.reset(np.eye(4))
+        self._state = OdometryState(status, np.eye(4), gyro)
+        self._forget()
 
     def warm_up(self) -> None:
         """Run small synthetic frames through every kernel, in an instance of its own."""
@@ -128,10 +127,13 @@ class StereoDirectOdometry:
 
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
         """Forget all images and go on from this pose."""
+        self._state.restart(T_world_rig)
+        self._forget()
+
+    def _forget(self) -> None:
         bundle = getattr(self, "_bundle", None)
         if bundle is not None:
             bundle.result()
-        self._state = OdometryState(self._status_config, T_world_rig, self._gyro)
         self._unit: BrightnessUnit | None = None
         self._window: PhotometricWindow | None = None
         self._keyframe_count = 0
@@ -153,7 +155,7 @@ class StereoDirectOdometry:
 
     def process(self, frame: RigFrame) -> OdometryResult:
         """Align with the window; make a keyframe when the view has changed."""
-        self._state.advance(frame.stamp_ns)
+        self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
         if self._window is not None:
             self._finish_bundle(self._window)
         if not frame.views:
