@@ -7,8 +7,7 @@ import pytest
 
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.simulation.noise import random_lattice
-from thermal_stereo_vo.simulation.presets import find_preset
-from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.shading import thermal_band
 from thermal_stereo_vo.simulation.studio import Studio
 from thermal_stereo_vo.simulation.thermal_field import Responsivity

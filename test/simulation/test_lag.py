@@ -13,9 +13,8 @@ from thermal_stereo_vo.simulation.lag import (
     uniform_delays,
 )
 from thermal_stereo_vo.simulation.materials import Material
-from thermal_stereo_vo.simulation.presets import find_preset
+from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.render import Lens
-from thermal_stereo_vo.simulation.run import plan_run
 from thermal_stereo_vo.simulation.studio import Studio
 
 from .small_worlds import BENT_LENS, LOOK_NORTH, renderer_of, wall_scene

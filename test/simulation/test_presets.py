@@ -6,8 +6,7 @@ import pytest
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT, THERMAL, VISIBLE
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.errors import SimulationError
-from thermal_stereo_vo.simulation.presets import all_presets, find_preset
-from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.presets import all_presets, find_preset, plan_run
 from thermal_stereo_vo.simulation.town import height_m
 
 TABLE_IV = {

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import cv2
@@ -10,7 +11,7 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT, Camera
 from thermal_stereo_vo.core.errors import SimulationError
 from thermal_stereo_vo.core.transforms import exp_so3, make_transform, transform_points
 from thermal_stereo_vo.simulation.materials import Material
-from thermal_stereo_vo.simulation.mesh import MeshBuilder
+from thermal_stereo_vo.simulation.mesh import Mesh, MeshBuilder
 from thermal_stereo_vo.simulation.render import Lens
 from thermal_stereo_vo.simulation.rig import stereo_rig
 from thermal_stereo_vo.simulation.scene import Mover, Scene
@@ -200,6 +201,44 @@ def test_a_mover_carries_its_texture_along(band) -> None:
     shift += np.array([18, 0])
     np.testing.assert_allclose(shift, [130.0 * 0.4 / 2.9, 0.0], atol=0.05)
     assert (later.owner == 0).sum() == pytest.approx((first.owner == 0).sum(), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [[0.3, 5.0, 0.2], [-2.9, 4.0, 1.0], [-1.3, 0.4, -0.4], [0.0, -0.6, 1.1], [1.4, 1.0, 0.0],
+     [0.0, -9.0, 0.0]],
+)  # fmt: skip
+def test_a_mover_is_seen_wherever_it_stands(band, place) -> None:
+    """Before, beside and behind the camera: as if it were part of what stands still."""
+    pose = make_transform(exp_so3([0.1, 0.2, 0.7]), place)
+    builder = MeshBuilder()
+    builder.box([-1.0, -0.3, -0.5], [1.0, 0.3, 0.5], Material.BLACKBODY, offset_kelvin=9.0)
+    builder.cylinder([0, 0, 0.5], [0.1, 0.2, 1.6], 0.01, Material.BLACKBODY, offset_kelvin=9.0)
+    body = builder.build()
+    still = MeshBuilder()
+    still.triangles(wall_scene(8.0, Material.BLACKBODY).static.vertices, Material.BLACKBODY)
+    wall = still.build()
+    placed = dataclasses.replace(
+        body, vertices=(body.vertices @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+    )
+    T = pose[:3]
+    thin = body.thin.copy()
+    for ends in (slice(0, 3), slice(3, 6)):
+        thin[:, ends] = thin[:, ends] @ T[:, :3].T + T[:, 3]
+    both = Mesh(
+        np.concatenate([wall.vertices, placed.vertices]),
+        np.concatenate([wall.material, placed.material]),
+        np.concatenate([wall.surface, placed.surface + wall.surfaces]),
+        np.concatenate([wall.offset_kelvin, placed.offset_kelvin]),
+        np.concatenate([wall.thin, thin]).astype(np.float32),
+    )
+    lens = Lens(BENT_LENS)
+    moving = renderer_of(Scene(wall, (Mover(body, lambda _: pose),)))
+    found = moving.render(lens, band, lambda _: LOOK_NORTH, 0.0)
+    expected = renderer_of(Scene(both)).render(lens, band, lambda _: LOOK_NORTH, 0.0)
+    np.testing.assert_allclose(found.depth_m, expected.depth_m, rtol=1e-4)
+    np.testing.assert_allclose(found.radiance, expected.radiance, rtol=1e-4)
+    assert np.array_equal(found.owner == 0, expected.depth_m < 7.0)
 
 
 def test_the_rig_is_that_of_the_paper() -> None:

@@ -7,8 +7,8 @@ import pytest
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.transforms import inverse, transform_points
-from thermal_stereo_vo.simulation.presets import board_poses_of, find_preset
-from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.preset_targets import board_poses_of
+from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.studio import Studio
 from thermal_stereo_vo.simulation.targets import CHESSBOARD, MASK
 

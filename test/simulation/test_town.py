@@ -5,9 +5,8 @@ import pytest
 
 from thermal_stereo_vo.core.cameras import LEFT
 from thermal_stereo_vo.simulation.materials import Material
-from thermal_stereo_vo.simulation.presets import find_preset
+from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.ray_casting import RayCaster
-from thermal_stereo_vo.simulation.run import plan_run
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,7 @@ import pytest
 
 from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE
 from thermal_stereo_vo.core.config import with_overrides
-from thermal_stereo_vo.simulation.presets import find_preset
-from thermal_stereo_vo.simulation.run import plan_run
+from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.settings import VisibleCameraConfig
 from thermal_stereo_vo.simulation.studio import Studio
 from thermal_stereo_vo.simulation.visible_camera import SIGNAL_STEP, VisibleCamera

@@ -45,22 +45,22 @@ def backward_flow(
     and for each mover.
     """
     height, width = depth_m.shape
+    T, J = T_then_now, pixels_per_plane
     largest = 0.0
     for y in range(height):
         for x in range(width):
-            T = T_then_now[owner[y, x] + 1]
+            m = owner[y, x] + 1
             u = np.float64(centres[y, x, 0])
             v = np.float64(centres[y, x, 1])
             inverse = 1.0 / depth_m[y, x]  # 0 for sky
-            px = T[0, 0] * u + T[0, 1] * v + T[0, 2] + inverse * T[0, 3]
-            py = T[1, 0] * u + T[1, 1] * v + T[1, 2] + inverse * T[1, 3]
-            pz = T[2, 0] * u + T[2, 1] * v + T[2, 2] + inverse * T[2, 3]
+            px = T[m, 0, 0] * u + T[m, 0, 1] * v + T[m, 0, 2] + inverse * T[m, 0, 3]
+            py = T[m, 1, 0] * u + T[m, 1, 1] * v + T[m, 1, 2] + inverse * T[m, 1, 3]
+            pz = T[m, 2, 0] * u + T[m, 2, 1] * v + T[m, 2, 2] + inverse * T[m, 2, 3]
             pz = max(pz, 0.05)
             du = px / pz - u
             dv = py / pz - v
-            J = pixels_per_plane[y, x]
-            fx = J[0, 0] * du + J[0, 1] * dv
-            fy = J[1, 0] * du + J[1, 1] * dv
+            fx = J[y, x, 0, 0] * du + J[y, x, 0, 1] * dv
+            fy = J[y, x, 1, 0] * du + J[y, x, 1, 1] * dv
             flow_px[y, x, 0] = fx
             flow_px[y, x, 1] = fy
             largest = max(largest, max(abs(fx), abs(fy)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,19 +12,24 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.errors import SimulationError
-from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.core.transforms import inverse, transform_points
 from thermal_stereo_vo.simulation import sampling
 from thermal_stereo_vo.simulation.materials import Material
 from thermal_stereo_vo.simulation.mesh import Mesh
 from thermal_stereo_vo.simulation.ray_casting import RayCaster
 from thermal_stereo_vo.simulation.sampling import Facets, Hits, Rays, Samples
 from thermal_stereo_vo.simulation.scene import Scene
-from thermal_stereo_vo.simulation.shading import Band, Light
+from thermal_stereo_vo.simulation.shading import Band, Light, empty_points, shade_samples
+from thermal_stereo_vo.simulation.slender import LensModel, mark_slender
+from thermal_stereo_vo.simulation.texture import empty_patches
 
 Poses = Callable[[float], NDArray[np.float64]]
 """Time (s) -> (4, 4) T_map_camera."""
 
 _SLENDER_LIMITS_PX = (0.2, 1.0, 2.1)
+_BATCH = 1024
+"""Samples that are shaded together: few enough for the fast memory."""
+_NEAREST_M = 0.02
 _FARTHEST_MOVER_M = 200.0
 
 
@@ -32,7 +38,8 @@ class Lens:
 
     ``grid`` (points, 2) and ``centres`` (H, W, 2) float32: x and y on the plane z = 1, see
     ``sampling``.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
-    ``inner_rays`` resolve a pixel that shows an edge.
+    ``lowest`` and ``highest`` (2,) bound the grid.  ``inner_rays`` resolve a pixel that shows an
+    edge.
     """
 
     def __init__(self, camera: Camera, inner_rays: int = 2) -> None:
@@ -58,6 +65,8 @@ class Lens:
         self.centres = np.ascontiguousarray(
             centres[:, :2].reshape(height, width, 2), dtype=np.float32
         )
+        self.lowest = self.grid.min(axis=0)
+        self.highest = self.grid.max(axis=0)
         self.pixel_rad = float(1.0 / np.sqrt(camera.fx * camera.fy))
         corners = self.grid[: (width + 1) * (height + 1)].astype(np.float64)
         corners = corners.reshape(height + 1, width + 1, 2)
@@ -114,22 +123,22 @@ class Renderer:
         self._mover_starts = np.cumsum([0, *(len(m.mesh) for m in scene.movers)])
         self._hits: dict[int, Hits] = {}
         self._samples: dict[int, Samples] = {}
-        self._spheres = [_bounding_sphere(m.mesh) for m in scene.movers]
+        self._points, self._patches = empty_points(_BATCH), empty_patches(_BATCH)
+        self._corners = [_box_corners(m.mesh) for m in scene.movers]
 
     def render(
         self, lens: Lens, band: Band, poses: Poses, time_s: float, *, row_time_s: float = 0.0
     ) -> Rendering:
         """What the camera sees at a time; the rows are read ``row_time_s`` after each other."""
         height, width = lens.centres.shape[:2]
-        T_map_camera = poses(time_s)
         rays = _rays(lens, poses, time_s, row_time_s)
         movers = self.T_map_movers(time_s)
-        boxes, seen = self._moving_boxes(lens.camera, T_map_camera, movers)
+        views = [inverse(poses(time_s))]
+        if row_time_s > 0.0:
+            views.append(inverse(poses(time_s + row_time_s * height)))
+        seen, frames = self._movers_in_view(lens, views, movers)
         moving = self._place_movers(movers, seen)
-        thin = self._slender(lens.camera, T_map_camera)
-        for x0, y0, x1, y1 in boxes:
-            part = thin[y0 // 2 : y1 // 2 + 1, x0 // 2 : x1 // 2 + 1]
-            np.maximum(part, sampling.CORNERS, out=part)
+        thin = self._slender(lens.camera, views[0], movers, seen)
         hits = self._scratch(len(lens.grid))
         hits.triangle.fill(sampling.NOT_CAST)
         level = np.empty((height, width), np.uint8)
@@ -137,21 +146,21 @@ class Renderer:
         across = width + 1
         rows, columns = np.arange(0, height + 1, 2), np.arange(0, across, 2)
         points = (rows[:, None] * across + columns).ravel().astype(np.int32)
-        self._cast(hits, rays, points, moving, boxes)
+        self._cast(hits, rays, points, moving, frames)
         sampling.refine_blocks(hits, level, thin)
         points = np.empty(len(lens.grid), np.int32)
         count = sampling.corner_points(hits, level, points)
-        self._cast(hits, rays, points[:count], moving, boxes)
+        self._cast(hits, rays, points[:count], moving, frames)
         sampling.refine_pixels(hits, level)
         count = sampling.inner_points(level, lens.inner_rays, points)
-        self._cast(hits, rays, points[:count], moving, boxes)
+        self._cast(hits, rays, points[:count], moving, frames)
 
         radiance = np.zeros((height, width), np.float32)
         depth = np.empty((height, width), np.float32)
         owner = np.empty((height, width), np.int32)
         samples = self._sample_scratch(height * width * (4 + lens.inner_rays))
         count = sampling.gather_samples(hits, rays, self._facets, level, samples, depth, owner)
-        sampling.shade_samples(
+        shade_samples(
             samples,
             count,
             rays,
@@ -160,6 +169,8 @@ class Renderer:
             self._light,
             self._heating(time_s),
             lens.pixel_rad,
+            self._points,
+            self._patches,
             radiance,
         )
         return Rendering(radiance, depth, owner)
@@ -223,7 +234,7 @@ class Renderer:
         rays: Rays,
         points: NDArray[np.int32],
         moving: _Moving | None,
-        boxes: NDArray[np.int64],
+        frames: NDArray[np.float64],
     ) -> None:
         origins = np.empty((len(points), 3), np.float32)
         directions = np.empty((len(points), 3), np.float32)
@@ -232,9 +243,9 @@ class Renderer:
         sampling.store_hits(
             hits, self._facets, points, met.triangle, 0, met.u, met.v, met.distance, False
         )
-        if moving is None or len(boxes) == 0:
+        if moving is None:
             return
-        inside = sampling.points_in_boxes(points, *rays.centres.shape[:2], boxes)
+        inside = sampling.points_in_frames(rays.grid, points, frames)
         if np.any(inside):
             met = moving.caster.cast(origins[inside], directions[inside])
             # Number them among all movers, not only those in view.
@@ -245,39 +256,39 @@ class Renderer:
                 met.distance, True,
             )  # fmt: skip
 
-    def _moving_boxes(
-        self, camera: Camera, T_map_camera: NDArray[np.float64], movers: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], list[int]]:
-        """(N, 4) pixels x0, y0, x1, y1 that hold each mover in view, and which those are."""
-        boxes, seen = [], []
-        T_camera_map = inverse(T_map_camera)
-        for n, (T, (centre, radius)) in enumerate(zip(movers, self._spheres, strict=True)):
-            p = T_camera_map[:3, :3] @ (T[:3, :3] @ centre + T[:3, 3]) + T_camera_map[:3, 3]
-            if p[2] < -radius or np.linalg.norm(p) > _FARTHEST_MOVER_M:
-                continue
-            if p[2] < 1.5 * radius:
-                boxes.append((0, 0, camera.width - 1, camera.height - 1))
-                seen.append(n)
-                continue
-            # Barrel distortion only draws points towards the middle, so the pinhole is an outer
-            # bound of the far side; a margin covers the near one.
-            reach = 1.3 * camera.fx * radius / (p[2] - radius) + 8.0
-            x, y = camera.project(np.clip(p[None] / p[2], -1.5, 1.5))[0]
-            x0, y0 = max(0, int(x - reach)), max(0, int(y - reach))
-            x1, y1 = min(camera.width - 1, int(x + reach)), min(camera.height - 1, int(y + reach))
-            if x0 <= x1 and y0 <= y1:
-                boxes.append((x0, y0, x1, y1))
-                seen.append(n)
-        return np.array(boxes, dtype=np.int64).reshape(-1, 4), seen
+    def _movers_in_view(
+        self, lens: Lens, views: list[NDArray[np.float64]], movers: NDArray[np.float64]
+    ) -> tuple[list[int], NDArray[np.float64]]:
+        """Which movers may be seen from one of the ``views`` (4, 4) T_camera_map.
 
-    def _slender(self, camera: Camera, T_map_camera: NDArray[np.float64]) -> NDArray[np.uint8]:
+        Returns their numbers and what holds each of them on the plane z = 1: (N, 4) lowest x and y,
+        highest x and y.
+        """
+        seen, frames = [], []
+        for n, (T_map_object, corners) in enumerate(zip(movers, self._corners, strict=True)):
+            places = [
+                transform_points(T_camera_map @ T_map_object, corners) for T_camera_map in views
+            ]
+            if np.linalg.norm(places[0], axis=1).min() > _FARTHEST_MOVER_M:
+                continue
+            frame = _frame_on_plane(places)
+            if np.all(frame[:2] <= lens.highest) and np.all(frame[2:] >= lens.lowest):
+                seen.append(n)
+                frames.append(frame)
+        return seen, np.array(frames).reshape(-1, 4)
+
+    def _slender(
+        self, camera: Camera, T_camera_map: NDArray[np.float64], movers: NDArray[np.float64],
+        seen: list[int],
+    ) -> NDArray[np.uint8]:  # fmt: skip
         """(H / 2, W / 2): levels that slender parts ask for."""
         mask = np.zeros((camera.height // 2, camera.width // 2), np.uint8)
         k1, k2, p1, p2, k3 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
-        lens = sampling.LensModel(camera.fx, camera.fy, camera.cx, camera.cy, k1, k2, p1, p2, k3)
-        sampling.mark_slender(
-            self._scene.static.thin, inverse(T_map_camera), lens, _SLENDER_LIMITS_PX, mask
-        )
+        lens = LensModel(camera.fx, camera.fy, camera.cx, camera.cy, k1, k2, p1, p2, k3)
+        mark_slender(self._scene.static.thin, T_camera_map, lens, _SLENDER_LIMITS_PX, mask)
+        for n in seen:
+            thin = self._scene.movers[n].mesh.thin
+            mark_slender(thin, T_camera_map @ movers[n], lens, _SLENDER_LIMITS_PX, mask)
         return mask
 
 
@@ -303,7 +314,29 @@ def _normals(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(normals, dtype=np.float32)
 
 
-def _bounding_sphere(mesh: Mesh) -> tuple[NDArray[np.float64], float]:
+def _box_corners(mesh: Mesh) -> NDArray[np.float64]:
+    """(8, 3) corners of the upright box that holds a mesh."""
     points = mesh.vertices.reshape(-1, 3).astype(np.float64)
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.array(list(itertools.product(*ends.T)))
+
+
+def _frame_on_plane(places: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """(4,) lowest x and y, highest x and y on the plane z = 1 of convex bodies (8, 3).
+
+    What lies behind the camera is cut off; lowest above highest where nothing is left.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for corners in places:
+        front = corners[:, 2] > _NEAREST_M
+        kept = [corners[front]]
+        if not np.all(front):
+            # Where lines between the corners pass the nearest plane; edges are among them.
+            a, b = corners[front][:, None], corners[~front][None]
+            f = (_NEAREST_M - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
+            kept.append((a + f * (b - a)).reshape(-1, 3))
+        points = np.concatenate(kept)
+        if len(points):
+            plane = points[:, :2] / points[:, 2:]
+            low, high = np.minimum(low, plane.min(axis=0)), np.maximum(high, plane.max(axis=0))
+    return np.concatenate([low, high])

@@ -12,7 +12,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.simulation.run import RunPlan, plan_run
+from thermal_stereo_vo.simulation.presets import plan_run
+from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.settings import SimulationConfig
 from thermal_stereo_vo.simulation.studio import Studio
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +13,10 @@ from numpy.typing import NDArray
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import flatten
 from thermal_stereo_vo.simulation.settings import SimulationConfig
-from thermal_stereo_vo.simulation.weather import Weather, find_weather
+from thermal_stereo_vo.simulation.trajectory import Motion
+from thermal_stereo_vo.simulation.weather import Weather
 
-if TYPE_CHECKING:
-    from thermal_stereo_vo.simulation.trajectory import Motion
-
-_ZERO_CELSIUS_KELVIN = 273.15
-PICTURE_VERSION = 4
+PICTURE_VERSION = 5
 """Raised whenever the same settings give other pictures, so that old caches are refused."""
 
 _IN_PICTURE = (
@@ -78,20 +73,3 @@ class RunPlan:
         values |= {"preset": self.preset, "version": PICTURE_VERSION}
         text = json.dumps(values, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def plan_run(preset: str, config: SimulationConfig) -> RunPlan:
-    """Fly ``preset`` with these settings.
-
-    Raises SimulationError for an unknown preset or a flight that cannot be flown.
-    """
-    from thermal_stereo_vo.simulation.presets import find_preset
-
-    chosen = find_preset(preset)
-    air = config.world.air_celsius
-    weather = find_weather(
-        config.world.weather, None if air is None else air + _ZERO_CELSIUS_KELVIN
-    )
-    weather = dataclasses.replace(weather, contrast=weather.contrast * config.world.contrast)
-    motion = chosen.motion(config, np.random.default_rng([config.flight.seed, 10]))
-    return RunPlan(preset, config, motion, weather, chosen.rig(config))

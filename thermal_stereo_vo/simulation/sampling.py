@@ -17,7 +17,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.simulation.materials import Material
-from thermal_stereo_vo.simulation.shading import Band, Light, shade, sky_radiance
 
 NOT_CAST = -2
 SKY = -1
@@ -97,6 +96,7 @@ def build_rays(
 ) -> None:
     """Fill (N, 3) origins and directions of the grid points (N,)."""
     height, width = rays.centres.shape[:2]
+    grid, R, places = rays.grid, rays.rotations, rays.origins
     corners = (height + 1) * (width + 1)
     for n in range(len(points)):
         p = points[n]
@@ -104,31 +104,23 @@ def build_rays(
             i = 2 * (p // (width + 1))
         else:
             i = 2 * (((p - corners) % (height * width)) // width) + 1
-        x = rays.grid[p, 0]
-        y = rays.grid[p, 1]
-        R = rays.rotations[i]
+        x = grid[p, 0]
+        y = grid[p, 1]
         for k in range(3):
-            origins[n, k] = rays.origins[i, k]
-            directions[n, k] = R[k, 0] * x + R[k, 1] * y + R[k, 2]
+            origins[n, k] = places[i, k]
+            directions[n, k] = R[i, k, 0] * x + R[i, k, 1] * y + R[i, k, 2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def points_in_boxes(
-    points: NDArray[np.int32], height: int, width: int, boxes: NDArray[np.int64]
+def points_in_frames(
+    grid: NDArray[np.float32], points: NDArray[np.int32], frames: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """(N,) which grid points touch the pixels x0, y0, x1, y1 of any of the boxes (K, 4)."""
+    """(N,) which grid points lie in any of the frames (K, 4): lowest x, y and highest x, y."""
     inside = np.zeros(len(points), np.bool_)
-    corners = (height + 1) * (width + 1)
     for n in range(len(points)):
-        p = points[n]
-        columns = width + 1
-        if p >= corners:
-            p = (p - corners) % (height * width)
-            columns = width
-        y = p // columns
-        x = p - y * columns
-        for k in range(len(boxes)):
-            if boxes[k, 0] <= x <= boxes[k, 2] + 1 and boxes[k, 1] <= y <= boxes[k, 3] + 1:
+        x, y = grid[points[n], 0], grid[points[n], 1]
+        for k in range(len(frames)):
+            if frames[k, 0] <= x <= frames[k, 2] and frames[k, 1] <= y <= frames[k, 3]:
                 inside[n] = True
                 break
     return inside
@@ -150,28 +142,30 @@ def store_hits(
 
     With ``nearest_only`` a hit counts only where it lies before the one already there.
     """
+    triangles, surfaces, materials = hits.triangle, hits.surface, hits.material
+    depths, offsets = hits.depth, hits.offset_kelvin
+    facet_surface, facet_material = facets.surface, facets.material
+    corner_kelvin = facets.offset_kelvin
     for n in range(len(points)):
         p = points[n]
         t = triangle[n]
         if t < 0:
             if not nearest_only:
-                hits.triangle[p] = SKY
-                hits.surface[p] = SKY
-                hits.material[p] = SKY
-                hits.depth[p] = np.inf
+                triangles[p] = SKY
+                surfaces[p] = SKY
+                materials[p] = SKY
+                depths[p] = np.inf
             continue
-        if nearest_only and depth[n] >= hits.depth[p]:
+        if nearest_only and depth[n] >= depths[p]:
             continue
         t += first
-        hits.triangle[p] = t
-        hits.surface[p] = facets.surface[t]
-        hits.material[p] = facets.material[t]
-        hits.depth[p] = depth[n]
+        triangles[p] = t
+        surfaces[p] = facet_surface[t]
+        materials[p] = facet_material[t]
+        depths[p] = depth[n]
         w = 1.0 - u[n] - v[n]
-        hits.offset_kelvin[p] = (
-            w * facets.offset_kelvin[t, 0]
-            + u[n] * facets.offset_kelvin[t, 1]
-            + v[n] * facets.offset_kelvin[t, 2]
+        offsets[p] = (
+            w * corner_kelvin[t, 0] + u[n] * corner_kelvin[t, 1] + v[n] * corner_kelvin[t, 2]
         )
 
 
@@ -189,11 +183,12 @@ def refine_blocks(hits: Hits, level: NDArray[np.uint8], thin: NDArray[np.uint8])
     ``thin`` (H / 2, W / 2) holds the least level of each block.
     """
     height, width = level.shape
+    surfaces = hits.surface
     for i in range(0, height, 2):
         for j in range(0, width, 2):
             wanted = thin[i // 2, j // 2]
             p = i * (width + 1) + j
-            if wanted == SIMPLE and not _agree(hits.surface, p, 2, 2 * (width + 1)):
+            if wanted == SIMPLE and not _agree(surfaces, p, 2, 2 * (width + 1)):
                 wanted = CORNERS
             level[i, j] = wanted
             level[i, j + 1] = wanted
@@ -205,12 +200,13 @@ def refine_blocks(hits: Hits, level: NDArray[np.uint8], thin: NDArray[np.uint8])
 def refine_pixels(hits: Hits, level: NDArray[np.uint8]) -> None:
     """Raise pixels whose own corners disagree to DETAILED, or to MIXED among leaves."""
     height, width = level.shape
+    surfaces, materials = hits.surface, hits.material
     for y in range(height):
         for x in range(width):
             p = y * (width + 1) + x
-            if level[y, x] == CORNERS and not _agree(hits.surface, p, 1, width + 1):
-                leafy = hits.material[p] == _FOLIAGE or hits.material[p] == _HEDGE
-                leaves = leafy and _agree(hits.material, p, 1, width + 1)
+            if level[y, x] == CORNERS and not _agree(surfaces, p, 1, width + 1):
+                leafy = materials[p] == _FOLIAGE or materials[p] == _HEDGE
+                leaves = leafy and _agree(materials, p, 1, width + 1)
                 level[y, x] = MIXED if leaves else DETAILED
 
 
@@ -221,6 +217,7 @@ def corner_points(hits: Hits, level: NDArray[np.uint8], out: NDArray[np.int32]) 
     Writes their numbers to ``out``, marks them as taken and returns how many there are.
     """
     height, width = level.shape
+    triangles = hits.triangle
     count = 0
     for y in range(height):
         for x in range(width):
@@ -228,8 +225,8 @@ def corner_points(hits: Hits, level: NDArray[np.uint8], out: NDArray[np.int32]) 
                 continue
             p = y * (width + 1) + x
             for q in (p, p + 1, p + width + 1, p + width + 2):
-                if hits.triangle[q] == NOT_CAST:
-                    hits.triangle[q] = SKY
+                if triangles[q] == NOT_CAST:
+                    triangles[q] = SKY
                     out[count] = q
                     count += 1
     return count
@@ -287,6 +284,12 @@ def gather_samples(
     inner_weight = 1.0 / (inner + 2.0)
     surfaces = np.empty(4 + inner, np.int64)
     points = np.empty(4 + inner, np.int64)
+    hit_triangle, hit_surface = hits.triangle, hits.surface
+    hit_depth, hit_offset = hits.depth, hits.offset_kelvin
+    grid, centres = rays.grid, rays.centres
+    pixels, triangles, planes = samples.pixel, samples.triangle, samples.plane
+    depths, offsets, weights = samples.depth, samples.offset_kelvin, samples.weight
+    first_moving, movers = facets.first_moving, facets.mover
     total = 0
     for y in range(height):
         for x in range(width):
@@ -301,25 +304,25 @@ def gather_samples(
                     p = y * across + x
                     right, down = 1, across
                     u = v = 0.5
-                t = hits.triangle[p]
-                samples.pixel[total] = pixel
-                samples.triangle[total] = t
-                samples.plane[total, 0] = rays.centres[y, x, 0]
-                samples.plane[total, 1] = rays.centres[y, x, 1]
-                samples.weight[total] = 1.0
+                t = hit_triangle[p]
+                pixels[total] = pixel
+                triangles[total] = t
+                planes[total, 0] = centres[y, x, 0]
+                planes[total, 1] = centres[y, x, 1]
+                weights[total] = 1.0
                 depth[y, x] = np.inf
                 if t >= 0:
                     a, b, c, d = p, p + right, p + down, p + down + right
                     # The inverse depth of a plane is linear in the image.
-                    rho = (1.0 - v) * ((1.0 - u) / hits.depth[a] + u / hits.depth[b]) + v * (
-                        (1.0 - u) / hits.depth[c] + u / hits.depth[d]
+                    rho = (1.0 - v) * ((1.0 - u) / hit_depth[a] + u / hit_depth[b]) + v * (
+                        (1.0 - u) / hit_depth[c] + u / hit_depth[d]
                     )
-                    samples.offset_kelvin[total] = (1.0 - v) * (
-                        (1.0 - u) * hits.offset_kelvin[a] + u * hits.offset_kelvin[b]
-                    ) + v * ((1.0 - u) * hits.offset_kelvin[c] + u * hits.offset_kelvin[d])
+                    offsets[total] = (1.0 - v) * (
+                        (1.0 - u) * hit_offset[a] + u * hit_offset[b]
+                    ) + v * ((1.0 - u) * hit_offset[c] + u * hit_offset[d])
                     depth[y, x] = 1.0 / rho
-                    samples.depth[total] = depth[y, x]
-                owner[y, x] = _owner(facets, t)
+                    depths[total] = depth[y, x]
+                owner[y, x] = movers[t - first_moving] if t >= first_moving else -1
                 total += 1
                 continue
 
@@ -336,181 +339,38 @@ def gather_samples(
             count = 0
             for n in range(rays_here):
                 q = points[n]
-                s = hits.surface[q]
+                s = hit_surface[q]
                 k = 0
                 while k < count and surfaces[k] != s:
                     k += 1
                 m = total + k
                 if k == count:
                     surfaces[k] = s
-                    samples.pixel[m] = pixel
-                    samples.triangle[m] = hits.triangle[q]
-                    samples.weight[m] = 0.0
-                    samples.plane[m] = 0.0
-                    samples.depth[m] = 0.0
-                    samples.offset_kelvin[m] = 0.0
+                    pixels[m] = pixel
+                    triangles[m] = hit_triangle[q]
+                    weights[m] = 0.0
+                    planes[m, 0] = planes[m, 1] = 0.0
+                    depths[m] = 0.0
+                    offsets[m] = 0.0
                     count += 1
                 w = corner_weight if n < 4 else inner_weight
-                samples.weight[m] += w
-                samples.plane[m, 0] += w * rays.grid[q, 0]
-                samples.plane[m, 1] += w * rays.grid[q, 1]
+                weights[m] += w
+                planes[m, 0] += w * grid[q, 0]
+                planes[m, 1] += w * grid[q, 1]
                 if s >= 0:
-                    samples.depth[m] += w / hits.depth[q]
-                    samples.offset_kelvin[m] += w * hits.offset_kelvin[q]
+                    depths[m] += w / hit_depth[q]
+                    offsets[m] += w * hit_offset[q]
             largest = total
             for m in range(total, total + count):
-                w = samples.weight[m]
-                samples.plane[m, 0] /= w
-                samples.plane[m, 1] /= w
-                samples.offset_kelvin[m] /= w
-                samples.depth[m] = w / samples.depth[m]
-                if w > samples.weight[largest]:
+                w = weights[m]
+                planes[m, 0] /= w
+                planes[m, 1] /= w
+                offsets[m] /= w
+                depths[m] = w / depths[m]
+                if w > weights[largest]:
                     largest = m
-            depth[y, x] = samples.depth[largest] if samples.triangle[largest] >= 0 else np.inf
-            owner[y, x] = _owner(facets, samples.triangle[largest])
+            depth[y, x] = depths[largest] if triangles[largest] >= 0 else np.inf
+            t = triangles[largest]
+            owner[y, x] = movers[t - first_moving] if t >= first_moving else -1
             total += count
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shade_samples(
-    samples: Samples,
-    count: int,
-    rays: Rays,
-    facets: Facets,
-    band: Band,
-    light: Light,
-    heating: NDArray[np.float64],
-    pixel_rad: float,
-    radiance: NDArray[np.float32],
-) -> None:
-    """Add up ``radiance`` (H, W), zero before; ``heating`` (materials,) K warms the surfaces."""
-    width = radiance.shape[1]
-    flat = radiance.reshape(-1)
-    for n in range(count):
-        pixel = samples.pixel[n]
-        row = 2 * (pixel // width) + 1
-        px = np.float64(samples.plane[n, 0])
-        py = np.float64(samples.plane[n, 1])
-        length = np.sqrt(1.0 + px * px + py * py)
-        R = rays.rotations[row]
-        dx = (R[0, 0] * px + R[0, 1] * py + R[0, 2]) / length
-        dy = (R[1, 0] * px + R[1, 1] * py + R[1, 2]) / length
-        dz = (R[2, 0] * px + R[2, 1] * py + R[2, 2]) / length
-        t = samples.triangle[n]
-        if t < 0:
-            flat[pixel] += samples.weight[n] * sky_radiance(band, dx, dy, dz, True)
-            continue
-        distance = samples.depth[n] * length
-        moved = t >= facets.first_moving
-        mover = facets.mover[t - facets.first_moving] if moved else 0
-        material = facets.material[t]
-        value = shade(
-            band,
-            light,
-            material,
-            samples.offset_kelvin[n] + heating[material],
-            rays.origins[row, 0] + distance * dx,
-            rays.origins[row, 1] + distance * dy,
-            rays.origins[row, 2] + distance * dz,
-            np.float64(facets.normals[t, 0]),
-            np.float64(facets.normals[t, 1]),
-            np.float64(facets.normals[t, 2]),
-            facets.T_object_map,
-            mover,
-            moved,
-            dx,
-            dy,
-            dz,
-            distance,
-            pixel_rad,
-        )
-        flat[pixel] += samples.weight[n] * value
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _owner(facets: Facets, triangle: int) -> int:
-    if triangle < facets.first_moving:
-        return -1
-    return int(facets.mover[triangle - facets.first_moving])
-
-
-class LensModel(NamedTuple):
-    """Pinhole with radial-tangential distortion, in pixels."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    k3: float
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mark_slender(
-    thin: NDArray[np.float32],
-    T_camera_map: NDArray[np.float64],
-    lens: LensModel,
-    limits_px: tuple[float, float, float],
-    mask: NDArray[np.uint8],
-) -> None:
-    """Raise the blocks of ``mask`` (H / 2, W / 2) that slender parts (K, 7) cross.
-
-    ``limits_px``: parts narrower than the first are invisible, below the second they ask for
-    DETAILED, below the third for CORNERS, and wider ones for nothing.
-    """
-    near_m, side = 0.3, 1.3
-    rows, columns = mask.shape
-    R = T_camera_map
-    ends = np.empty((2, 3))
-    for n in range(len(thin)):
-        w = lens.fx * thin[n, 6]
-        for e in range(2):
-            for k in range(3):
-                ends[e, k] = R[k, 3]
-                for m in range(3):
-                    ends[e, k] += R[k, m] * thin[n, 3 * e + m]
-        far = max(ends[0, 2], ends[1, 2])
-        near = max(min(ends[0, 2], ends[1, 2]), near_m)
-        if far < near_m or w > limits_px[2] * far or w < limits_px[0] * near:
-            continue
-        for e in range(2):
-            if ends[e, 2] < near_m:
-                f = (near_m - ends[e, 2]) / (ends[1 - e, 2] - ends[e, 2])
-                for k in range(3):
-                    ends[e, k] += f * (ends[1 - e, k] - ends[e, k])
-        ax, ay = ends[0, 0] / ends[0, 2], ends[0, 1] / ends[0, 2]
-        bx, by = ends[1, 0] / ends[1, 2], ends[1, 1] / ends[1, 2]
-        if min(ax, bx) > side or max(ax, bx) < -side or min(ay, by) > side or max(ay, by) < -side:
-            continue
-        steps = int(0.5 * max(abs(bx - ax) * lens.fx, abs(by - ay) * lens.fy)) + 1
-        for i in range(steps + 1):
-            # Straight on the plane z = 1; the width belongs to the depth there.
-            f = i / steps
-            x = ax + f * (bx - ax)
-            y = ay + f * (by - ay)
-            if abs(x) > side or abs(y) > side:
-                continue
-            z = 1.0 / ((1.0 - f) / ends[0, 2] + f / ends[1, 2])
-            level = SIMPLE
-            if w < limits_px[1] * z:
-                level = DETAILED
-            elif w < limits_px[2] * z:
-                level = CORNERS
-            if level == SIMPLE or w < limits_px[0] * z:
-                continue
-            r = x * x + y * y
-            radial = 1.0 + r * (lens.k1 + r * (lens.k2 + r * lens.k3))
-            u = lens.fx * (x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (r + 2.0 * x * x))
-            v = lens.fy * (y * radial + lens.p1 * (r + 2.0 * y * y) + 2.0 * lens.p2 * x * y)
-            # The block that holds the point, and the nearest one in either direction.
-            u = 0.5 * (u + lens.cx + 0.5)
-            v = 0.5 * (v + lens.cy + 0.5)
-            j, i0 = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
-            for row in range(max(i0, 0), min(i0 + 2, rows)):
-                for column in range(max(j, 0), min(j + 2, columns)):
-                    if mask[row, column] < level:
-                        mask[row, column] = level

@@ -1,8 +1,4 @@
-"""Radiance of a point that a ray hit: texture, temperature, reflection, air; and of the sky.
-
-Kernels in numba, called for one point each.  Every octave finer than the pixel is faded out, so
-that nothing aliases into noise that moves with the camera.
-"""
+"""Radiance of what the rays met: temperature, texture, reflection, air; and of the sky."""
 
 from __future__ import annotations
 
@@ -12,14 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.simulation.noise import (
-    LATTICE,
-    NOISE_SIGMA,
-    NOISE_SLOPE,
-    OCTAVE_COS,
-    OCTAVE_SIN,
-    value_noise,
-)
+from thermal_stereo_vo.simulation.noise import value_noise
+from thermal_stereo_vo.simulation.sampling import Facets, Rays, Samples
+from thermal_stereo_vo.simulation.texture import Patches, vary
 from thermal_stereo_vo.simulation.thermal_field import (
     PLANCK_B_KELVIN,
     PLANCK_F,
@@ -33,16 +24,10 @@ from thermal_stereo_vo.simulation.weather import Weather
 # Plain numbers: older numba does not index with an enumeration.
 _EMISSIVITY, _BASE, _SUN = int(Column.EMISSIVITY), int(Column.BASE), int(Column.SUN)
 _DAYLIGHT, _SKY, _OFFSET = int(Column.DAYLIGHT), int(Column.SKY), int(Column.OFFSET)
-_MIRROR, _AMPLITUDE, _SPACING = int(Column.MIRROR), int(Column.AMPLITUDE), int(Column.SPACING)
-_OCTAVES, _PERSISTENCE = int(Column.OCTAVES), int(Column.PERSISTENCE)
-_CRACKS, _PATCHES = int(Column.CRACKS), int(Column.PATCHES)
-_CELL_ALONG, _CELL_UP = int(Column.CELL_ALONG), int(Column.CELL_UP)
-_CELLS, _JOINTS = int(Column.CELLS), int(Column.JOINTS)
+_MIRROR = int(Column.MIRROR)
 
-_LINE_HALF_WIDTH_M = 0.015
-_CRACKS_SEEN_M = 20 * _LINE_HALF_WIDTH_M
-_CELLS_IN_LATTICE = LATTICE**2
 _SHADOW_BIAS_M = 0.12
+_LOWEST_SINE = 0.03
 
 
 class Band(NamedTuple):
@@ -125,266 +110,333 @@ def visible_band(weather: Weather, lattice: NDArray[np.float32]) -> Band:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def texture(
-    lattice: NDArray[np.float32],
-    row: NDArray[np.float64],
-    a: float,
-    b: float,
-    way_a: float,
-    way_b: float,
-    across_m: float,
-    along_m: float,
-) -> float:
-    """Variation of a material at a point of a surface, in the unit of its amplitudes.
-
-    (a, b) are metres along the surface.  The pixel covers ``along_m`` in the unit direction
-    (way_a, way_b) and ``across_m`` in the other.  ``row`` is that of the material table.
-    """
-    value = 0.0
-    spacing = row[_SPACING]
-    pa = a / spacing
-    pb = b / spacing
-    if row[_CRACKS] != 0.0 and across_m < _CRACKS_SEEN_M:
-        n = value_noise(lattice, pa + 7.7, pb + 40.9)
-        width = max(_LINE_HALF_WIDTH_M, across_m)
-        distance = abs(n) * spacing / NOISE_SLOPE
-        if distance < width:
-            value += row[_CRACKS] * _LINE_HALF_WIDTH_M / width * (1.0 - distance / width)
-    if row[_PATCHES] != 0.0:
-        n = value_noise(lattice, 0.4 * pa + 29.3, 0.4 * pb + 11.9)
-        step = 0.5 + n * 2.5 * spacing / NOISE_SLOPE / max(2.0 * _LINE_HALF_WIDTH_M, across_m)
-        value += row[_PATCHES] * (min(max(step, 0.0), 1.0) - 0.5)
-    if row[_CELL_ALONG] > 0.0:
-        value += _tiles(lattice, row, a, b, across_m)
-
-    amplitude = row[_AMPLITUDE] / NOISE_SIGMA
-    da = way_a * along_m / spacing
-    db = way_b * along_m / spacing
-    for _ in range(int(row[_OCTAVES])):
-        samples = 1
-        if along_m > 0.5 * spacing:
-            samples = min(4, int(2.0 * along_m / spacing) + 1)
-        footprint = max(across_m, along_m / samples)
-        weight = min(max(spacing / footprint - 1.0, 0.0), 1.0)
-        if weight <= 0.0:
-            break
-        weight = weight * weight * (3.0 - 2.0 * weight)
-        if samples == 1:
-            total = value_noise(lattice, pa, pb)
-        else:
-            total = 0.0
-            for i in range(samples):
-                f = (i + 0.5) / samples - 0.5
-                total += value_noise(lattice, pa + f * da, pb + f * db)
-            total /= samples
-        value += weight * amplitude * total
-        amplitude *= row[_PERSISTENCE]
-        spacing *= 0.5
-        pa, pb = (
-            2.0 * (OCTAVE_COS * pa - OCTAVE_SIN * pb) + 17.31,
-            2.0 * (OCTAVE_SIN * pa + OCTAVE_COS * pb) + 5.77,
-        )
-        da, db = (
-            2.0 * (OCTAVE_COS * da - OCTAVE_SIN * db),
-            2.0 * (OCTAVE_SIN * da + OCTAVE_COS * db),
-        )
-    return float(value)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _tiles(
-    lattice: NDArray[np.float32], row: NDArray[np.float64], a: float, b: float, footprint_m: float
-) -> float:
-    """Tiles that differ from each other, and the joints between them."""
-    along = row[_CELL_ALONG]
-    up = row[_CELL_UP]
-    ib = 0.0
-    edge_m = 1e9
-    size = along
-    if up > 0.0:
-        b /= up
-        ib = np.floor(b)
-        edge_m = min(b - ib, ib + 1.0 - b) * up
-        size = min(size, up)
-    fade = min(max(size / footprint_m - 1.0, 0.0), 1.0)
-    if fade <= 0.0:
-        return 0.0
-    a = a / along + 0.5 * (int(ib) & 1)
-    ia = np.floor(a)
-    edge_m = min(edge_m, min(a - ia, ia + 1.0 - a) * along)
-    h = (int(ia) * 73856093) ^ (int(ib) * 19349663)
-    value = row[_CELLS] * lattice[h % _CELLS_IN_LATTICE] * fade
-    width = max(_LINE_HALF_WIDTH_M, footprint_m)
-    if edge_m < width:
-        value += row[_JOINTS] * _LINE_HALF_WIDTH_M / width * (1.0 - edge_m / width) * fade
-    return float(value)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def planck(planck_r: float, kelvin: float) -> float:
     """Counts of a black body."""
     return float(planck_r / (np.exp(PLANCK_B_KELVIN / kelvin) - PLANCK_F))
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sky_emissivity(zenith_emissivity: float, sine: float) -> float:
+    # Plane-parallel air: the path, and so its optical depth, grows as 1 / sin(elevation).
+    return float(1.0 - (1.0 - min(zenith_emissivity, 0.999)) ** (1.0 / sine))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cloud_noise(lattice: NDArray[np.float32], x: float, y: float) -> float:
+    """Four octaves, written out: a loop would count references to the lattice."""
+    total = value_noise(lattice, x, y)
+    x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
+    total += 0.55 * value_noise(lattice, x, y)
+    x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
+    total += 0.3025 * value_noise(lattice, x, y)
+    x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
+    return float(total + 0.166375 * value_noise(lattice, x, y))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def sky_radiance(band: Band, dx: float, dy: float, dz: float, clouds: bool) -> float:
     """Radiance of the sky in a unit direction, in the unit of the band."""
-    sine = max(dz, 0.03)
+    sine = max(dz, _LOWEST_SINE)
     if not band.thermal:
-        return float(band.illumination * (0.9 - 0.35 * min(sine, 1.0)))
-    # Plane-parallel air: the path, and so its optical depth, grows as 1 / sin(elevation).
-    emissivity = 1.0 - (1.0 - min(band.sky_emissivity, 0.999)) ** (1.0 / sine)
+        return float(band.illumination * (0.9 - 0.35 * sine))
+    emissivity = _sky_emissivity(band.sky_emissivity, sine)
     if clouds and band.cloud_variation > 0.0:
-        x = 2.5 * dx / (sine + 0.1)
-        y = 2.5 * dy / (sine + 0.1)
-        n = 0.0
-        amplitude = 1.0
-        for _ in range(4):
-            n += amplitude * value_noise(band.lattice, x, y)
-            x, y = 1.6 * x - 1.2 * y + 9.1, 1.2 * x + 1.6 * y + 4.3
-            amplitude *= 0.55
-        emissivity += band.cloud_variation * n * (1.0 - emissivity) ** 0.5
+        high = 2.5 / (sine + 0.1)
+        noise = _cloud_noise(band.lattice, high * dx, high * dy)
+        emissivity += band.cloud_variation * noise * np.sqrt(1.0 - emissivity)
     return float(min(max(emissivity, 0.05), 1.0) * band.air)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sunlit(light: Light, sun: NDArray[np.float64], x: float, y: float, z: float) -> float:
-    """Part of the sun seen from a point, 0..1: variance shadow map (Donnelly & Lauritzen 2006)."""
-    rows, columns = light.shadow.shape[:2]
-    if rows < 2 or sun[2] <= 0.0:
-        return 1.0
-    gx = (x - z * sun[0] / sun[2] - light.origin[0]) / light.shadow_cell_m
-    gy = (y - z * sun[1] / sun[2] - light.origin[1]) / light.shadow_cell_m
-    if gx < 0.0 or gy < 0.0 or gx >= columns - 1 or gy >= rows - 1:
-        return 1.0
-    j, i = int(gx), int(gy)
-    u, v = gx - j, gy - i
-    s = light.shadow
-    mean = (1 - v) * ((1 - u) * s[i, j, 0] + u * s[i, j + 1, 0]) + v * (
-        (1 - u) * s[i + 1, j, 0] + u * s[i + 1, j + 1, 0]
-    )
-    below = mean - _SHADOW_BIAS_M - z
-    if below <= 0.0:
-        return 1.0
-    square = (1 - v) * ((1 - u) * s[i, j, 1] + u * s[i, j + 1, 1]) + v * (
-        (1 - u) * s[i + 1, j, 1] + u * s[i + 1, j + 1, 1]
-    )
-    variance = max(square - mean * mean, 1e-3)
-    return float(variance / (variance + below * below))
+class Points(NamedTuple):
+    """A batch of samples on the way to their radiance; all float64 (N,), one for each sample.
+
+    Unit direction (``dx``, ``dy``, ``dz``) of the ray, place and unit normal towards the camera in
+    map axes, ``facing`` their cosine (negative), ``distance_m`` along the ray, ``up`` the share of
+    open sky, ``towards_sun`` the cosine to the sun where it shines, ``variation`` the texture.
+    """
+
+    dx: NDArray[np.float64]
+    dy: NDArray[np.float64]
+    dz: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    nx: NDArray[np.float64]
+    ny: NDArray[np.float64]
+    nz: NDArray[np.float64]
+    facing: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    up: NDArray[np.float64]
+    towards_sun: NDArray[np.float64]
+    variation: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _open_sky(light: Light, x: float, y: float, z: float) -> float:
-    """Part of the sky seen by a level surface at a point, 0..1; full 6 m above the ground."""
-    rows, columns = light.openness.shape[:2]
-    if rows < 2:
-        return 1.0
-    gx = (x - light.origin[0]) / light.openness_cell_m
-    gy = (y - light.origin[1]) / light.openness_cell_m
-    if gx < 0.0 or gy < 0.0 or gx >= columns - 1 or gy >= rows - 1:
-        return 1.0
-    j, i = int(gx), int(gy)
-    u, v = gx - j, gy - i
-    s = light.openness
-    part = (1 - v) * ((1 - u) * s[i, j, 0] + u * s[i, j + 1, 0]) + v * (
-        (1 - u) * s[i + 1, j, 0] + u * s[i + 1, j + 1, 0]
-    )
-    high = min(max((z - s[i, j, 1]) / 6.0, 0.0), 1.0)
-    return float(part + (1.0 - part) * high)
+def empty_points(count: int) -> Points:
+    """Room for ``count`` samples."""
+    return Points(*(np.empty(count) for _ in Points._fields))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def shade(
+@njit(cache=True, nogil=True, error_model="numpy")
+def shade_samples(
+    samples: Samples,
+    count: int,
+    rays: Rays,
+    facets: Facets,
     band: Band,
     light: Light,
-    material: int,
-    offset_kelvin: float,
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    T_object_map: NDArray[np.float64],
-    mover: int,
-    moved: bool,
-    dx: float,
-    dy: float,
-    dz: float,
-    distance_m: float,
+    heating: NDArray[np.float64],
     pixel_rad: float,
-) -> float:
-    """Radiance that reaches the camera from a point (x, y, z) with unit normal, in map axes.
+    points: Points,
+    patches: Patches,
+    radiance: NDArray[np.float32],
+) -> None:
+    """Add up ``radiance`` (H, W), zero before; ``heating`` (materials,) K warms the surfaces.
 
-    (dx, dy, dz) is the unit direction of the ray.  Where ``moved`` is true, the texture clings to
-    the axes of a mover: ``T_object_map[mover]`` takes map coordinates there.
+    ``points`` and ``patches`` are scratch memory that decides how many samples make a batch.
     """
-    facing = dx * nx + dy * ny + dz * nz
-    if facing > 0.0:
-        nx, ny, nz, facing = -nx, -ny, -nz, -facing
-    across = distance_m * pixel_rad
-    along = across / max(-facing, 0.02)
-    slant = np.sqrt(max(1.0 - facing * facing, 1e-12))
-    ax = (dx - facing * nx) / slant
-    ay = (dy - facing * ny) / slant
-    az = (dz - facing * nz) / slant
-    row = band.table[material]
-    rest = T_object_map[mover]
-    tx, ty, tz, mx, my, mz = x, y, z, nx, ny, nz
-    if moved:
-        tx = rest[0, 0] * x + rest[0, 1] * y + rest[0, 2] * z + rest[0, 3]
-        ty = rest[1, 0] * x + rest[1, 1] * y + rest[1, 2] * z + rest[1, 3]
-        tz = rest[2, 0] * x + rest[2, 1] * y + rest[2, 2] * z + rest[2, 3]
-        mx = rest[0, 0] * nx + rest[0, 1] * ny + rest[0, 2] * nz
-        my = rest[1, 0] * nx + rest[1, 1] * ny + rest[1, 2] * nz
-        mz = rest[2, 0] * nx + rest[2, 1] * ny + rest[2, 2] * nz
-        bx = rest[0, 0] * ax + rest[0, 1] * ay + rest[0, 2] * az
-        by = rest[1, 0] * ax + rest[1, 1] * ay + rest[1, 2] * az
-        bz = rest[2, 0] * ax + rest[2, 1] * ay + rest[2, 2] * az
-        ax, ay, az = bx, by, bz
-    towards_sun = 0.0
-    if band.sunshine > 0.0:
-        towards_sun = max(0.0, nx * band.sun[0] + ny * band.sun[1] + nz * band.sun[2])
-        if towards_sun > 0.0:
-            towards_sun *= _sunlit(light, band.sun, x, y, z)
-    # Coordinates along the surface: level and up the slope, or east and north on level ground.
-    if abs(mz) > 0.9:
-        a, b, way_a, way_b = tx, ty, ax, ay
-    else:
-        level = np.sqrt(mx * mx + my * my)
-        a = (-my * tx + mx * ty) / level
-        b = tz / level
-        way_a = (-my * ax + mx * ay) / level
-        way_b = az / level
-    up = 0.5 * (1.0 + nz)
-    up *= _open_sky(light, x, y, z)
+    # Each step is a loop over plain arrays.  Rows, fields of tuples and arguments of functions
+    # with branches would count references at every sample, which takes longer than the sums.
+    texture_shift = (0.0, 0.0) if band.thermal else (613.7, 271.3)  # bands share no texture
+    batch = len(points.x)
+    for first in range(0, count, batch):
+        n = min(batch, count - first)
+        _locate(samples, first, n, rays, facets, pixel_rad, texture_shift, points, patches)
+        _look_up(light.openness, light.openness_cell_m, light.origin, points, n)
+        if band.sunshine > 0.0:
+            _look_at_sun(light.shadow, light.shadow_cell_m, light.origin, band.sun, points, n)
+        vary(band.lattice, band.table, patches, n, points.variation)
+        _radiate(samples, first, n, band, heating, points, patches.material, radiance)
 
-    if not band.thermal:  # another part of the lattice: the bands share no texture
-        a += 613.7
-        b += 271.3
-    variation = texture(band.lattice, row, a, b, way_a, way_b, across, along)
 
-    if not band.thermal:
-        reflectance = min(max(row[_BASE] * (1.0 + variation), 0.01), 0.95)
-        share = 0.7 * band.sunshine
-        diffuse = band.ambient + (1.0 - band.ambient) * up
-        light_here = (1.0 - share) * diffuse + share * towards_sun
-        return float(band.illumination * reflectance * light_here)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _locate(
+    samples: Samples,
+    first: int,
+    count: int,
+    rays: Rays,
+    facets: Facets,
+    pixel_rad: float,
+    texture_shift: tuple[float, float],
+    points: Points,
+    patches: Patches,
+) -> None:
+    """Where the samples lie, in the map and on their surface; material -1 for the sky."""
+    pixels, triangles, planes, depths = (
+        samples.pixel, samples.triangle, samples.plane, samples.depth,
+    )  # fmt: skip
+    R, origins, width = rays.rotations, rays.origins, rays.centres.shape[1]
+    normals, materials, movers = facets.normals, facets.material, facets.mover
+    first_moving, T = facets.first_moving, facets.T_object_map
+    dxs, dys, dzs, xs, ys, zs = points.dx, points.dy, points.dz, points.x, points.y, points.z
+    nxs, nys, nzs, facings = points.nx, points.ny, points.nz, points.facing
+    distances, ups = points.distance_m, points.up
+    places_a, places_b, ways_a, ways_b = patches.a, patches.b, patches.way_a, patches.way_b
+    acrosses, alongs, kinds = patches.across_m, patches.along_m, patches.material
+    shift_a, shift_b = texture_shift
+    for n in range(count):
+        row = 2 * (pixels[first + n] // width) + 1
+        px = np.float64(planes[first + n, 0])
+        py = np.float64(planes[first + n, 1])
+        length = np.sqrt(1.0 + px * px + py * py)
+        shrink = 1.0 / length
+        dx = shrink * (R[row, 0, 0] * px + R[row, 0, 1] * py + R[row, 0, 2])
+        dy = shrink * (R[row, 1, 0] * px + R[row, 1, 1] * py + R[row, 1, 2])
+        dz = shrink * (R[row, 2, 0] * px + R[row, 2, 1] * py + R[row, 2, 2])
+        dxs[n], dys[n], dzs[n] = dx, dy, dz
+        t = triangles[first + n]
+        if t < 0:
+            kinds[n] = -1
+            continue
+        distance = depths[first + n] * length
+        x = origins[row, 0] + distance * dx
+        y = origins[row, 1] + distance * dy
+        z = origins[row, 2] + distance * dz
+        nx = np.float64(normals[t, 0])
+        ny = np.float64(normals[t, 1])
+        nz = np.float64(normals[t, 2])
+        facing = dx * nx + dy * ny + dz * nz
+        if facing > 0.0:
+            nx, ny, nz, facing = -nx, -ny, -nz, -facing
+        xs[n], ys[n], zs[n] = x, y, z
+        nxs[n], nys[n], nzs[n], facings[n] = nx, ny, nz, facing
+        distances[n] = distance
+        ups[n] = 0.5 * (1.0 + nz)
 
-    kelvin = row[_BASE] + row[_OFFSET] * offset_kelvin + variation
-    kelvin += row[_SUN] * towards_sun + row[_DAYLIGHT] * up - row[_SKY] * up * up
-    emissivity = row[_EMISSIVITY]
-    radiance = emissivity * planck(band.planck_r, kelvin)
-    if emissivity < 1.0:
-        if row[_MIRROR] > 0.0:
-            rx = dx - 2.0 * facing * nx
-            ry = dy - 2.0 * facing * ny
-            rz = dz - 2.0 * facing * nz
-            reflected = sky_radiance(band, rx, ry, rz, True) if rz > 0.0 else band.air
+        across = distance * pixel_rad
+        slant = 1.0 / np.sqrt(max(1.0 - facing * facing, 1e-12))
+        ax = (dx - facing * nx) * slant
+        ay = (dy - facing * ny) * slant
+        az = (dz - facing * nz) * slant
+        if t >= first_moving:  # texture clings to the axes of the mover
+            m = movers[t - first_moving]
+            x, y, z = (
+                T[m, 0, 0] * x + T[m, 0, 1] * y + T[m, 0, 2] * z + T[m, 0, 3],
+                T[m, 1, 0] * x + T[m, 1, 1] * y + T[m, 1, 2] * z + T[m, 1, 3],
+                T[m, 2, 0] * x + T[m, 2, 1] * y + T[m, 2, 2] * z + T[m, 2, 3],
+            )
+            nx, ny, nz = (
+                T[m, 0, 0] * nx + T[m, 0, 1] * ny + T[m, 0, 2] * nz,
+                T[m, 1, 0] * nx + T[m, 1, 1] * ny + T[m, 1, 2] * nz,
+                T[m, 2, 0] * nx + T[m, 2, 1] * ny + T[m, 2, 2] * nz,
+            )
+            ax, ay, az = (
+                T[m, 0, 0] * ax + T[m, 0, 1] * ay + T[m, 0, 2] * az,
+                T[m, 1, 0] * ax + T[m, 1, 1] * ay + T[m, 1, 2] * az,
+                T[m, 2, 0] * ax + T[m, 2, 1] * ay + T[m, 2, 2] * az,
+            )
+        # Coordinates along the surface: level and up the slope, or east and north on level ground.
+        if abs(nz) > 0.9:
+            a, b, way_a, way_b = x, y, ax, ay
         else:
-            reflected = up * band.sky + (1.0 - up) * band.air
-        radiance += (1.0 - emissivity) * reflected
-    if band.extinction_per_m > 0.0:
-        through = np.exp(-band.extinction_per_m * distance_m)
-        radiance = through * radiance + (1.0 - through) * band.air
-    return float(radiance)
+            level = 1.0 / np.sqrt(nx * nx + ny * ny)
+            a = (-ny * x + nx * y) * level
+            b = z * level
+            way_a = (-ny * ax + nx * ay) * level
+            way_b = az * level
+        kinds[n] = materials[t]
+        places_a[n] = a + shift_a
+        places_b[n] = b + shift_b
+        ways_a[n] = way_a
+        ways_b[n] = way_b
+        acrosses[n] = across
+        alongs[n] = across / max(-facing, 0.02)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(
+    openness: NDArray[np.float32],
+    cell_m: float,
+    origin: NDArray[np.float64],
+    points: Points,
+    count: int,
+) -> None:
+    """Scale ``up`` by the sky that a level surface sees; all of it 6 m above the ground."""
+    rows, columns = openness.shape[:2]
+    xs, ys, zs, ups = points.x, points.y, points.z, points.up
+    x0, y0, per_m = origin[0], origin[1], 1.0 / cell_m
+    if rows < 2:
+        return
+    for n in range(count):
+        gx = (xs[n] - x0) * per_m
+        gy = (ys[n] - y0) * per_m
+        if not (0.0 <= gx < columns - 1 and 0.0 <= gy < rows - 1):
+            continue
+        j, i = int(gx), int(gy)
+        u, v = gx - j, gy - i
+        part = (1 - v) * ((1 - u) * openness[i, j, 0] + u * openness[i, j + 1, 0]) + v * (
+            (1 - u) * openness[i + 1, j, 0] + u * openness[i + 1, j + 1, 0]
+        )
+        high = min(max((zs[n] - openness[i, j, 1]) / 6.0, 0.0), 1.0)
+        ups[n] *= part + (1.0 - part) * high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_at_sun(
+    shadow: NDArray[np.float32],
+    cell_m: float,
+    origin: NDArray[np.float64],
+    sun: NDArray[np.float64],
+    points: Points,
+    count: int,
+) -> None:
+    """Set ``towards_sun``, with shadows by variance shadow maps (Donnelly & Lauritzen 2006)."""
+    rows, columns = shadow.shape[:2]
+    xs, ys, zs, nxs, nys, nzs = points.x, points.y, points.z, points.nx, points.ny, points.nz
+    lit = points.towards_sun
+    x0, y0, per_m = origin[0], origin[1], 1.0 / cell_m
+    sx, sy, sz = sun[0], sun[1], sun[2]
+    shadows = rows > 1 and sz > 0.0
+    for n in range(count):
+        cosine = max(0.0, nxs[n] * sx + nys[n] * sy + nzs[n] * sz)
+        lit[n] = cosine
+        if cosine == 0.0 or not shadows:
+            continue
+        z = zs[n]
+        gx = (xs[n] - z * sx / sz - x0) * per_m
+        gy = (ys[n] - z * sy / sz - y0) * per_m
+        if not (0.0 <= gx < columns - 1 and 0.0 <= gy < rows - 1):
+            continue
+        j, i = int(gx), int(gy)
+        u, v = gx - j, gy - i
+        mean = (1 - v) * ((1 - u) * shadow[i, j, 0] + u * shadow[i, j + 1, 0]) + v * (
+            (1 - u) * shadow[i + 1, j, 0] + u * shadow[i + 1, j + 1, 0]
+        )
+        below = mean - _SHADOW_BIAS_M - z
+        if below > 0.0:
+            square = (1 - v) * ((1 - u) * shadow[i, j, 1] + u * shadow[i, j + 1, 1]) + v * (
+                (1 - u) * shadow[i + 1, j, 1] + u * shadow[i + 1, j + 1, 1]
+            )
+            variance = max(square - mean * mean, 1e-3)
+            lit[n] = cosine * variance / (variance + below * below)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _radiate(
+    samples: Samples,
+    first: int,
+    count: int,
+    band: Band,
+    heating: NDArray[np.float64],
+    points: Points,
+    materials: NDArray[np.int32],
+    radiance: NDArray[np.float32],
+) -> None:
+    """What the samples send to the camera, added up."""
+    pixels, offsets, weights = samples.pixel, samples.offset_kelvin, samples.weight
+    dxs, dys, dzs = points.dx, points.dy, points.dz
+    nxs, nys, nzs, facings = points.nx, points.ny, points.nz, points.facing
+    ups, lit, variations, distances = (
+        points.up, points.towards_sun, points.variation, points.distance_m,
+    )  # fmt: skip
+    thermal, table, lattice, planck_r = band.thermal, band.table, band.lattice, band.planck_r
+    air, mean_sky, zenith, clouds = band.air, band.sky, band.sky_emissivity, band.cloud_variation
+    extinction_per_m, illumination = band.extinction_per_m, band.illumination
+    sunshine, ambient = band.sunshine, band.ambient
+    share = 0.7 * sunshine
+    flat = radiance.reshape(radiance.size)
+    for n in range(count):
+        m = materials[n]
+        value = 0.0
+        # The ray, or what a mirror makes of it, goes on to the sky.
+        rx, ry, rz, seen = dxs[n], dys[n], dzs[n], 1.0
+        if m >= 0:
+            up = ups[n]
+            towards_sun = lit[n] if sunshine > 0.0 else 0.0
+            if thermal:
+                kelvin = table[m, _BASE] + variations[n] + table[m, _SUN] * towards_sun
+                kelvin += table[m, _OFFSET] * (offsets[first + n] + heating[m])
+                kelvin += (table[m, _DAYLIGHT] - table[m, _SKY] * up) * up
+                seen = 1.0 - table[m, _EMISSIVITY]
+                value = (1.0 - seen) * planck(planck_r, kelvin)
+                if table[m, _MIRROR] > 0.0:
+                    double = 2.0 * facings[n]
+                    rx -= double * nxs[n]
+                    ry -= double * nys[n]
+                    rz -= double * nzs[n]
+                    if rz <= 0.0:
+                        value += seen * air
+                        seen = 0.0
+                else:
+                    value += seen * (up * mean_sky + (1.0 - up) * air)
+                    seen = 0.0
+            else:
+                reflectance = min(max(table[m, _BASE] * (1.0 + variations[n]), 0.01), 0.95)
+                diffuse = ambient + (1.0 - ambient) * up
+                value = reflectance * ((1.0 - share) * diffuse + share * towards_sun)
+                value *= illumination
+                seen = 0.0
+        if seen > 0.0:
+            sine = max(rz, _LOWEST_SINE)
+            if thermal:
+                emissivity = _sky_emissivity(zenith, sine)
+                if clouds > 0.0:
+                    high = 2.5 / (sine + 0.1)
+                    noise = _cloud_noise(lattice, high * rx, high * ry)
+                    emissivity += clouds * noise * np.sqrt(1.0 - emissivity)
+                value += seen * min(max(emissivity, 0.05), 1.0) * air
+            else:
+                value += seen * illumination * (0.9 - 0.35 * sine)
+        if m >= 0 and thermal and extinction_per_m > 0.0:
+            through = np.exp(-extinction_per_m * distances[n])
+            value = through * value + (1.0 - through) * air
+        flat[pixels[first + n]] += weights[first + n] * value

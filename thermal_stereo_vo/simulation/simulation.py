@@ -18,8 +18,8 @@ from thermal_stereo_vo.simulation.navigation import (
     inertial_measurements,
     satellite_fixes,
 )
+from thermal_stereo_vo.simulation.presets import plan_run
 from thermal_stereo_vo.simulation.radiance_cache import cached_signals
-from thermal_stereo_vo.simulation.run import plan_run
 from thermal_stereo_vo.simulation.schedule import (
     Exposure,
     camera_times,
