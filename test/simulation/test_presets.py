@@ -7,6 +7,7 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT, THERMAL, VISIBLE
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.errors import SimulationError
 from thermal_stereo_vo.simulation.presets import all_presets, find_preset, plan_run
+from thermal_stereo_vo.simulation.preview import GALLERY
 from thermal_stereo_vo.simulation.town import height_m
 
 TABLE_IV = {
@@ -114,3 +115,8 @@ def test_only_what_changes_pictures_changes_their_key() -> None:
     for other in ("thermal.time_constant_ms=5", "world.weather=sunny_day", "flight.seed=2",
                   "render.lag=none", "timing.skew_ms=3", "rate_hz=20"):  # fmt: skip
         assert plan_of("hover", other).picture_key() != key, other
+
+
+def test_the_gallery_shows_every_preset_once() -> None:
+    shown = [name for presets in GALLERY.values() for name in presets]
+    assert sorted(shown) == sorted(preset.name for preset in all_presets())

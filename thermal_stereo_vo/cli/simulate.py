@@ -38,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preview", type=Path, metavar="F", help="write a sheet of six frames (PNG) and no bag"
     )
     parser.add_argument(
+        "--gallery", type=Path, metavar="DIR", help="write sheets with two frames of every preset"
+    )
+    parser.add_argument(
         "--compare-real",
         type=Path,
         metavar="DIR",
@@ -54,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         return _list()
     if args.compare_real is not None:
         return _compare(args)
+    if args.gallery is not None:
+        return _gallery(args)
     if args.preset is None:
         raise SimulationError("name a preset; --list shows them all")
     simulation = _simulation(args)
@@ -117,6 +122,16 @@ def _compare(args: argparse.Namespace) -> int:
         raise SimulationError("say where the report shall go: --output DIR")
     text = write_realism_report(args.compare_real, args.output)
     _say(args, text)
+    return 0
+
+
+def _gallery(args: argparse.Namespace) -> int:
+    from thermal_stereo_vo.simulation.preview import GALLERY, write_gallery
+
+    count = sum(len(presets) for presets in GALLERY.values())
+    with progress(count, "preset", quiet=args.quiet) as step:
+        write_gallery(args.gallery, step)
+    _say(args, f"{', '.join(GALLERY)} written to {args.gallery}")
     return 0
 
 
