@@ -105,7 +105,7 @@ def test_an_interruption_leaves_nothing_behind(tmp_path) -> None:
     """Ctrl-C in the middle of a run with a process of its own: all gone, exit code 130."""
     running = subprocess.Popen(
         [sys.executable, "-m", "thermal_stereo_vo", "simulate", "blackbody", "--output",
-         str(tmp_path / "flight"), "--set", "duration_s=4", "--set", "rate_hz=500",
+         str(tmp_path / "flight"), "--set", "duration_s=4", "--set", "rate_hz=2000",
          "--set", "render.scale=0.125", "--workers", "1"],
         cwd=REPOSITORY, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip

@@ -23,11 +23,13 @@ _SKY_RAYS = 20
 _MARGIN_M = 40.0
 
 
-def light_scene(scene: Scene, weather: Weather) -> Light:
-    """The light maps of a scene; those of an open field for scenes indoors."""
+def light_scene(scene: Scene, weather: Weather, caster: RayCaster) -> Light:
+    """The light maps of a scene; those of an open field for scenes indoors.
+
+    ``caster`` holds what stands still.
+    """
     if not scene.outdoors or scene.extent_m is None:
         return open_field()
-    caster = RayCaster(scene.static.vertices)
     low, high = scene.extent_m[0] + _MARGIN_M, scene.extent_m[1] - _MARGIN_M
     shadow = np.empty((1, 1, 2), np.float32)
     if weather.sun > 0.0:

@@ -29,7 +29,7 @@ GALLERY = {
     "sim_targets.png": ("board_aluminium", "board_mask", "blackbody", "step"),
 }
 """Sheets of the gallery and the presets on each."""
-_GALLERY_SHOWN = {"hot_arm": (0.2, 0.55), "step": (0.2, 1.0)}
+_GALLERY_SHOWN = {"hot_arm": (0.2, 0.42), "step": (0.2, 1.0)}
 _AGC = AgcConfig(mode="plateau", roi=(0.0, 0.35, 1.0, 1.0))
 
 

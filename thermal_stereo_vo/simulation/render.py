@@ -38,8 +38,8 @@ class Lens:
 
     ``grid`` (points, 2) and ``centres`` (H, W, 2) float32: x and y on the plane z = 1, see
     ``sampling``.  ``pixels_per_plane`` (H, W, 2, 2) float32: the Jacobian d(pixel) / d(plane).
-    ``lowest`` and ``highest`` (2,) bound the grid.  ``inner_rays`` resolve a pixel that shows an
-    edge.
+    ``blocks`` are the grid points at the corners of blocks of 2x2 pixels; ``lowest`` and
+    ``highest`` (2,) bound the grid.  ``inner_rays`` resolve a pixel that shows an edge.
     """
 
     def __init__(self, camera: Camera, inner_rays: int = 2) -> None:
@@ -65,6 +65,7 @@ class Lens:
         self.centres = np.ascontiguousarray(
             centres[:, :2].reshape(height, width, 2), dtype=np.float32
         )
+        self.blocks = sampling.block_points(height, width)
         self.lowest = self.grid.min(axis=0)
         self.highest = self.grid.max(axis=0)
         self.pixel_rad = float(1.0 / np.sqrt(camera.fx * camera.fy))
@@ -100,10 +101,11 @@ class _Moving(NamedTuple):
 class Renderer:
     """Renders one scene.  Keeps scratch memory: one thread at a time."""
 
-    def __init__(self, scene: Scene, light: Light) -> None:
+    def __init__(self, scene: Scene, light: Light, static: RayCaster | None = None) -> None:
+        """``static`` may be the ray-casting tree of what stands still, if there is one already."""
         self._scene = scene
         self._light = light
-        self._static = RayCaster(scene.static.vertices)
+        self._static = static or RayCaster(scene.static.vertices)
         meshes = [scene.static, *(mover.mesh for mover in scene.movers)]
         shifts = np.cumsum([0, *(mesh.surfaces for mesh in meshes)])
         count = len(scene.static)
@@ -143,10 +145,7 @@ class Renderer:
         hits.triangle.fill(sampling.NOT_CAST)
         level = np.empty((height, width), np.uint8)
 
-        across = width + 1
-        rows, columns = np.arange(0, height + 1, 2), np.arange(0, across, 2)
-        points = (rows[:, None] * across + columns).ravel().astype(np.int32)
-        self._cast(hits, rays, points, moving, frames)
+        self._cast(hits, rays, lens.blocks, moving, frames)
         sampling.refine_blocks(hits, level, thin)
         points = np.empty(len(lens.grid), np.int32)
         count = sampling.corner_points(hits, level, points)

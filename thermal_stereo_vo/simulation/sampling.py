@@ -39,6 +39,9 @@ def inner_rays_px(count: int) -> NDArray[np.float64]:
     return np.concatenate([half, -half, np.zeros((count % 2, 2))])
 
 
+_TILE_ROWS, _TILE_COLUMNS = 16, 64
+"""Rays are cast tile by tile, so that those that meet the same triangles follow each other."""
+
 _FOLIAGE, _HEDGE = int(Material.FOLIAGE), int(Material.HEDGE)
 
 
@@ -211,6 +214,20 @@ def refine_pixels(hits: Hits, level: NDArray[np.uint8]) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def block_points(height: int, width: int) -> NDArray[np.int32]:
+    """The corners of all blocks of 2x2 pixels."""
+    out = np.empty((height // 2 + 1) * (width // 2 + 1), np.int32)
+    count = 0
+    for y0 in range(0, height + 1, _TILE_ROWS):
+        for x0 in range(0, width + 1, _TILE_COLUMNS):
+            for y in range(y0, min(y0 + _TILE_ROWS, height + 1), 2):
+                for x in range(x0, min(x0 + _TILE_COLUMNS, width + 1), 2):
+                    out[count] = y * (width + 1) + x
+                    count += 1
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def corner_points(hits: Hits, level: NDArray[np.uint8], out: NDArray[np.int32]) -> int:
     """Corners, not cast yet, of the pixels beyond SIMPLE.
 
@@ -219,16 +236,18 @@ def corner_points(hits: Hits, level: NDArray[np.uint8], out: NDArray[np.int32]) 
     height, width = level.shape
     triangles = hits.triangle
     count = 0
-    for y in range(height):
-        for x in range(width):
-            if level[y, x] == SIMPLE:
-                continue
-            p = y * (width + 1) + x
-            for q in (p, p + 1, p + width + 1, p + width + 2):
-                if triangles[q] == NOT_CAST:
-                    triangles[q] = SKY
-                    out[count] = q
-                    count += 1
+    for y0 in range(0, height, _TILE_ROWS):
+        for x0 in range(0, width, _TILE_COLUMNS):
+            for y in range(y0, min(y0 + _TILE_ROWS, height)):
+                for x in range(x0, min(x0 + _TILE_COLUMNS, width)):
+                    if level[y, x] == SIMPLE:
+                        continue
+                    p = y * (width + 1) + x
+                    for q in (p, p + 1, p + width + 1, p + width + 2):
+                        if triangles[q] == NOT_CAST:
+                            triangles[q] = SKY
+                            out[count] = q
+                            count += 1
     return count
 
 
@@ -238,12 +257,14 @@ def inner_points(level: NDArray[np.uint8], inner: int, out: NDArray[np.int32]) -
     height, width = level.shape
     first = (height + 1) * (width + 1)
     count = 0
-    for y in range(height):
-        for x in range(width):
-            if level[y, x] == DETAILED:
-                for n in range(inner):
-                    out[count] = first + (n * height + y) * width + x
-                    count += 1
+    for y0 in range(0, height, _TILE_ROWS):
+        for x0 in range(0, width, _TILE_COLUMNS):
+            for y in range(y0, min(y0 + _TILE_ROWS, height)):
+                for x in range(x0, min(x0 + _TILE_COLUMNS, width)):
+                    if level[y, x] == DETAILED:
+                        for n in range(inner):
+                            out[count] = first + (n * height + y) * width + x
+                            count += 1
     return count
 
 

@@ -19,6 +19,7 @@ from thermal_stereo_vo.simulation.lag import (
 from thermal_stereo_vo.simulation.lighting import light_scene
 from thermal_stereo_vo.simulation.noise import random_lattice
 from thermal_stereo_vo.simulation.presets import find_preset
+from thermal_stereo_vo.simulation.ray_casting import RayCaster
 from thermal_stereo_vo.simulation.render import Lens, Poses, Renderer, Rendering
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.shading import Band, thermal_band, visible_band
@@ -43,7 +44,8 @@ class Studio:
         self._plan = plan
         config = plan.config
         scene = find_preset(plan.preset).scene(plan)
-        self._renderer = Renderer(scene, light_scene(scene, plan.weather))
+        static = RayCaster(scene.static.vertices)
+        self._renderer = Renderer(scene, light_scene(scene, plan.weather, static), static)
         lattice = random_lattice(np.random.default_rng(_LATTICE_SEED))
         responsivity = Responsivity(config.thermal.counts_per_kelvin)
         self._thermal = thermal_band(plan.weather, responsivity, lattice)
