@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from thermal_stereo_vo.core.kernels import retract, solve_positive
+from thermal_stereo_vo.core.kernels import invert_positive, retract, solve_positive
 from thermal_stereo_vo.core.transforms import exp_se3
 
 seeds = st.integers(0, 2**32 - 1)
@@ -63,3 +63,27 @@ def test_solve_positive_is_solve(seed, n):
 )
 def test_solve_positive_refuses_what_is_not_positive(A):
     assert not solve_positive(A, np.ones(len(A)), np.zeros(len(A)))
+
+
+@given(seeds, st.integers(1, 42))
+def test_invert_positive_is_inv(seed, n):
+    rng = np.random.default_rng(seed)
+    B = rng.normal(size=(n, n))
+    A = B @ B.T + 0.1 * np.eye(n)
+    before, out = A.copy(), np.full((n, n), np.nan)
+    assert invert_positive(A, 0.0, out)
+    np.testing.assert_allclose(out, np.linalg.inv(A), rtol=1e-7, atol=1e-8)
+    assert np.array_equal(out, out.T)
+    assert np.array_equal(A, before)
+
+
+@pytest.mark.parametrize(("least_pivot", "inverted"), [(0.1, True), (0.2, False)])
+def test_invert_positive_refuses_small_pivots(least_pivot, inverted):
+    """The second parameter is explained by the first but for 0.19 = 1 - 0.9^2."""
+    A = np.array([[1.0, 0.9], [0.9, 1.0]])
+    assert invert_positive(A, least_pivot, np.empty((2, 2))) is inverted
+
+
+@pytest.mark.parametrize("A", [np.zeros((2, 2)), np.array([[np.nan, 0.0], [0.0, 1.0]])])
+def test_invert_positive_refuses_what_is_not_positive(A):
+    assert not invert_positive(A, 0.0, np.empty((2, 2)))

@@ -82,3 +82,41 @@ def solve_positive(A, b, x):  # type: ignore[no-untyped-def]
             total -= L[k, i] * x[k]
         x[i] = total / L[i, i]
     return True
+
+
+@njit(cache=True, nogil=True)
+def invert_positive(A, least_pivot, out):  # type: ignore[no-untyped-def]
+    """Write the inverse of a symmetric (n, n) matrix to ``out`` by Cholesky, exactly symmetric.
+
+    Returns False, leaving ``out`` undefined, when a pivot does not exceed ``least_pivot``; with a
+    unit diagonal a pivot is the share of a parameter that those before it do not explain.  LAPACK
+    would do, but its threads spin for longer than a matrix of this size takes.
+    """
+    n = len(A)
+    L = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i == j:
+                if not total > least_pivot:
+                    return False
+                L[i, i] = np.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    inverse_L = np.zeros((n, n))
+    for j in range(n):
+        inverse_L[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for k in range(j, i):
+                total -= L[i, k] * inverse_L[k, j]
+            inverse_L[i, j] = total / L[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, n):
+                total += inverse_L[k, i] * inverse_L[k, j]
+            out[i, j] = out[j, i] = total
+    return True

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_LEAST_EIGENVALUE = 1e-12
+from thermal_stereo_vo.core.kernels import invert_positive
+
+_LEAST_PIVOT = 1e-12
 """Of the information with unit diagonal: below this it is rounding, not information."""
 
 
@@ -23,8 +25,7 @@ def inverse_information(A: NDArray[np.float64]) -> NDArray[np.float64] | None:
     if not np.all(np.isfinite(A)) or not np.all(diagonal > 0.0):
         return None
     scale = np.sqrt(np.outer(diagonal, diagonal))
-    values, vectors = np.linalg.eigh(A / scale)
-    if values[0] < _LEAST_EIGENVALUE:
+    inverse = np.empty_like(scale)
+    if not invert_positive(A / scale, _LEAST_PIVOT, inverse):
         return None
-    inverse: NDArray[np.float64] = (vectors / values) @ vectors.T / scale
-    return 0.5 * (inverse + inverse.T)
+    return inverse / scale
