@@ -116,6 +116,21 @@ def test_a_source_that_cannot_keep_up_plays_in_slow_motion(eventually):
     assert (played[-1].stamp_ns - played[0].stamp_ns) / MS > 250
 
 
+def test_slow_motion_tears_no_pair():
+    def slow():
+        for frame in recording(count=4)():
+            if frame.camera == "right":
+                time.sleep(0.3)
+            yield frame
+
+    cameras = FakeCameras(("left", "right"), slow)
+    with StereoCapture(cameras, waiting_pairs=1000) as capture:
+        pairs = [pair for _, pair in zip(range(4), capture.pairs(), strict=False)]
+    assert [pair.frames["right"].image[0, 0] for pair in pairs] == [0, 1, 2, 3]
+    assert all(pair.complete and abs(pair.skew_ns - 3 * MS) < MS for pair in pairs)
+    assert pairs[-1].stamp_ns - pairs[0].stamp_ns > 600 * MS
+
+
 def test_pairs_of_a_recording():
     cameras = FakeCameras(("left", "right"), recording(), FakeConfig(speed=2.0))
     with StereoCapture(cameras) as capture:

@@ -130,14 +130,16 @@ class FakeCameras:
 
     def _play(self, on_frame: Callable[[RawFrame], None]) -> None:
         begin_ns = first_ns = None
+        first_camera = ""
         for frame in self._frames():
             if self._stop.is_set() or self._again.is_set():
                 return
             if begin_ns is None or first_ns is None:
                 begin_ns, first_ns = time.monotonic_ns() + _PAUSE_NS, frame.stamp_ns
+                first_camera = frame.camera
             moment_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._config.speed)
             late_ns = time.monotonic_ns() - moment_ns
-            if late_ns > _LATE_NS:
+            if late_ns > _LATE_NS and frame.camera == first_camera:  # else it would tear a pair
                 begin_ns += late_ns
                 moment_ns += late_ns
             elif late_ns < 0:
