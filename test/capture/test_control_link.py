@@ -15,7 +15,7 @@ from thermal_stereo_vo.core.frames import FfcState
 
 # Long enough that a busy machine does not pass for a silent camera.
 CONFIG = ControlConfig(timeout_s=10.0, poll_period_s=0.02, reopen_s=0.05, stale_s=120.0)
-DO_FFC, FFC_MODE = 0x0C, 0x0B
+DO_FFC, FFC_MODE, SHUTTER = 0x0C, 0x0B, 0x79
 
 
 @pytest.fixture
@@ -185,6 +185,22 @@ def test_a_port_that_is_missing_is_waited_for(connect, pty_camera, eventually, t
     eventually(lambda: "cannot be opened" in links["left"].status().reason)
     (tmp_path / "left").symlink_to(pty_camera.port)
     eventually(lambda: links["left"].status().connected, links["left"].status)
+
+
+def test_a_shutter_that_does_not_open_is_told_and_the_control_goes_on(
+    one, pty_camera, eventually, caplog
+):
+    link, _ = one
+    pty_camera.registers[SHUTTER] = b"\0\1"
+    pty_camera.stuck.add(SHUTTER)
+    link.open_shutter()
+    eventually(lambda: "SHUTTER_POSITION was set to 0 but reads 1" in caplog.text)
+    pty_camera.refused[SHUTTER] = 0x0A
+    link.open_shutter()
+    eventually(lambda: "refuses SHUTTER_POSITION" in caplog.text)
+    heard_ns = link.status().heard_ns
+    eventually(lambda: link.status().connected and link.status().heard_ns > heard_ns)
+    assert pty_camera.functions().count(0x04) == 1  # connected once, and never again
 
 
 def test_a_bad_line_brings_nothing_to_a_halt_and_nothing_off_the_list_is_sent(

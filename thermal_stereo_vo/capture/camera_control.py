@@ -244,7 +244,11 @@ class Tau2Control:
     def _move_shutter(self, position: int) -> None:
         # Always sent: the camera does not know of a shutter that a shock has moved.
         self._port.call(Function.SHUTTER_POSITION, _word(position))
-        self._check(Function.SHUTTER_POSITION, position, self._get_word(Function.SHUTTER_POSITION))
+        try:
+            now = self._get_word(Function.SHUTTER_POSITION)
+        except RefusedError:
+            return  # it moves the shutter but does not tell where it is
+        self._check(Function.SHUTTER_POSITION, position, now)
 
     def _set_xp(self, output: str) -> list[str]:
         wanted = _XP.get(output)

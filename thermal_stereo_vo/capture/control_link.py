@@ -15,7 +15,13 @@ from thermal_stereo_vo.capture.camera_control import (
     Tau2Control,
     open_serial,
 )
-from thermal_stereo_vo.capture.cci import BusyError, CciPort, NoReplyError, SerialPort
+from thermal_stereo_vo.capture.cci import (
+    BusyError,
+    CameraControlError,
+    CciPort,
+    NoReplyError,
+    SerialPort,
+)
 from thermal_stereo_vo.capture.ffc_policy import FfcConfig, FfcOrder, FfcPolicy
 from thermal_stereo_vo.core.config import setting
 from thermal_stereo_vo.core.errors import CaptureError, ConfigError
@@ -242,7 +248,12 @@ class ControlLink:
                 control.set_ffc_automatic(automatic)
                 self._automatic = automatic
         if self._shutter.is_set():
-            control.open_shutter()
+            try:
+                control.open_shutter()
+            except (NoReplyError, BusyError):
+                raise  # it may listen later
+            except CameraControlError as error:
+                logger.warning("camera '%s': %s", self.camera, error)
             self._shutter.clear()
         order = self._policy.take_order(self.camera, now_ns)
         if order is not None:
