@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from thermal_stereo_vo.pipeline import Config
+
+Settings = TypeVar("Settings")
 
 SIMULATION_PREFIX = "sim."
 
@@ -28,21 +30,27 @@ def add_config_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def load_config(args: argparse.Namespace) -> Config:
+    """The settings of the pipeline, as ``load_settings`` gathers them."""
+    from thermal_stereo_vo.pipeline import Config
+
+    return load_settings(args, Config())
+
+
+def load_settings(args: argparse.Namespace, defaults: Settings) -> Settings:
     """Defaults, then the file, then ``--set``, then ``--method``.
 
     Raises ConfigError that names every unknown or impossible setting.
     """
     from thermal_stereo_vo.core.config import load_yaml, with_overrides
     from thermal_stereo_vo.core.errors import ConfigError
-    from thermal_stereo_vo.pipeline import Config
 
-    config = Config()
+    config = defaults
     if args.config is not None:
         try:
             text = args.config.read_text(encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"cannot read the settings {args.config}: {error.strerror}") from None
-        config = load_yaml(Config, text, origin=str(args.config), base=config)
+        config = load_yaml(type(config), text, origin=str(args.config), base=config)
     overrides = [text for text in args.overrides if not text.startswith(SIMULATION_PREFIX)]
     if args.method is not None:
         overrides.append(f"odometry.method={args.method}")

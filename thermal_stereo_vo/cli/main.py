@@ -15,6 +15,10 @@ DONE, FAULT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
     "replay": ("replay", "run the odometry over a recording or a simulated flight"),
+    "reconstruct": (
+        "reconstruct",
+        "make a model, with temperatures, of what was seen",
+    ),
     "evaluate": ("evaluate", "compare a trajectory with the truth"),
     "simulate": ("simulate", "fly a simulated rig and write a ROS 2 bag"),
     "import-dataset": ("import_dataset", "turn any recording into a ROS 2 bag"),

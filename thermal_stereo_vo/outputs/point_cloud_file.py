@@ -2,12 +2,12 @@
 
 PLY after G. Turk, The PLY polygon file format (1994); PCD after the file format page of the Point
 Cloud Library (version 0.7).  Fields are float32 ``x y z intensity`` and, where known,
-``temperature`` (kelvin).
+``temperature`` (kelvin), then whatever else is known of each point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,26 +35,43 @@ PLY_TYPES = {
     )
     for name in names.split()
 }
+COLOURS = ("red", "green", "blue")
 PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 LONGEST_HEADER_LINES = 200
 
 
-def write_ply(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud as PLY, as MeshLab, CloudCompare and Open3D read it."""
-    table = _table(cloud)
+def write_ply(
+    path: Path,
+    cloud: PointCloud,
+    more: Mapping[str, NDArray[Any]] | None = None,
+    rgb: NDArray[np.uint8] | None = None,
+) -> None:
+    """Write a cloud as PLY, as MeshLab, CloudCompare and Open3D read it.
+
+    ``more`` holds further columns (N,), written as float32; ``rgb`` (N, 3) the colours that viewers
+    show.
+    """
+    table = _table(cloud, more or {})
+    if rgb is not None:
+        table = _with_colours(table, rgb)
     header = [
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {len(table)}",
-        *(f"property float {name}" for name in table.dtype.names or ()),
+        *(
+            f"property {'uchar' if name in COLOURS else 'float'} {name}"
+            for name in table.dtype.names or ()
+        ),
         "end_header",
     ]
     _write(path, header, table)
 
 
-def write_pcd(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud as PCD, as the Point Cloud Library reads it."""
-    table = _table(cloud)
+def write_pcd(
+    path: Path, cloud: PointCloud, more: Mapping[str, NDArray[Any]] | None = None
+) -> None:
+    """Write a cloud as PCD, as the Point Cloud Library reads it; ``more`` as in ``write_ply``."""
+    table = _table(cloud, more or {})
     names = table.dtype.names or ()
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -88,8 +105,8 @@ def read_pcd(path: Path) -> PointCloud:
     return _read(path, _pcd_layout)
 
 
-def _table(cloud: PointCloud) -> Table:
-    columns = {
+def _table(cloud: PointCloud, more: Mapping[str, NDArray[Any]]) -> Table:
+    columns: dict[str, NDArray[Any]] = {
         "x": cloud.xyz[:, 0],
         "y": cloud.xyz[:, 1],
         "z": cloud.xyz[:, 2],
@@ -97,10 +114,21 @@ def _table(cloud: PointCloud) -> Table:
     }
     if cloud.temperature_kelvin is not None:
         columns["temperature"] = cloud.temperature_kelvin
+    columns |= more
     table = np.empty(len(cloud.xyz), dtype=[(name, "<f4") for name in columns])
     for name, values in columns.items():
         table[name] = values
     return table
+
+
+def _with_colours(table: Table, rgb: NDArray[np.uint8]) -> Table:
+    layout = [*table.dtype.descr, *((name, "u1") for name in COLOURS)]
+    coloured = np.empty(len(table), dtype=layout)
+    for name in table.dtype.names or ():
+        coloured[name] = table[name]
+    for k, name in enumerate(COLOURS):
+        coloured[name] = rgb[:, k]
+    return coloured
 
 
 def _write(path: Path, header: Sequence[str], table: Table) -> None:
