@@ -44,6 +44,6 @@ def test_far_points_and_pixels_between_steps_are_left_out():
 
 def test_temperatures_come_from_the_counts_of_the_same_pixel():
     thermometer = Thermometer(ThermometerConfig(planck_r=400_000.0))
-    cloud = camera_cloud(made_map(), thermometer)
+    cloud = camera_cloud(made_map(), thermometer.kelvin)
     expected = thermometer.kelvin(np.array([7008, 7016, 7021]))
     np.testing.assert_array_equal(cloud.temperature_kelvin, expected)

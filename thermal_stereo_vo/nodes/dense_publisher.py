@@ -44,7 +44,8 @@ class DensePublisher(Observer):
         on_error: Callable[[BaseException], None],
     ) -> None:
         self._config = config.dense
-        self._thermometer = Thermometer.of(config.thermometer)
+        thermometer = Thermometer.of(config.thermometer)
+        self._kelvin = None if thermometer is None else thermometer.kelvin
         self._T_base_rig = config.mount.T_base_rig
         self._odom_frame = config.odom_frame
         self._period_ns = round(1e9 / config.dense.rate_hz)
@@ -107,7 +108,7 @@ class DensePublisher(Observer):
     def _send_points(self, disparities: DisparityMap, T_world_rig: NDArray[np.float64]) -> None:
         cloud = camera_cloud(
             disparities,
-            self._thermometer,
+            self._kelvin,
             max_range_m=self._config.max_range_m,
             step=self._config.point_step,
         )

@@ -46,7 +46,7 @@ class Reconstructor(Observer):
         self, dense: DenseConfig, config: ModelConfig, thermometer: Thermometer | None = None
     ) -> None:
         self._config = config
-        self._thermometer = thermometer
+        self._kelvin = None if thermometer is None else thermometer.kelvin
         self._stereo = DenseStereo(dense)
         self._volume = Volume(config.volume)
         self._frame: RigFrame | None = None
@@ -74,7 +74,7 @@ class Reconstructor(Observer):
         self.keyframes += 1
         if self.sample is None or disparities.density > self.sample.density:
             self.sample = disparities
-        cloud = camera_cloud(disparities, self._thermometer, max_range_m=self._config.max_range_m)
+        cloud = camera_cloud(disparities, self._kelvin, max_range_m=self._config.max_range_m)
         rows, columns, depth_m = points_of(disparities, max_range_m=self._config.max_range_m)
         # Z = f B / d: an error of the disparity grows with the square of the distance.
         focal_baseline = disparities.camera.fx * disparities.baseline_m

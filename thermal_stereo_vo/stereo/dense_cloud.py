@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.results import PointCloud
-from thermal_stereo_vo.radiometry.thermometer import Thermometer
 from thermal_stereo_vo.stereo.dense import DisparityMap
 
 
 def camera_cloud(
     disparities: DisparityMap,
-    thermometer: Thermometer | None = None,
+    kelvin: Callable[[NDArray[Any]], NDArray[np.float32]] | None = None,
     *,
     max_range_m: float = np.inf,
     step: int = 1,
 ) -> PointCloud:
     """Points in axes of the rectified left camera, with its counts as intensity.
 
+    ``kelvin`` turns counts into temperatures, where that is known.
     Points farther along the axis than ``max_range_m`` are left out, and all but every ``step``-th
     pixel of every ``step``-th row.
     """
@@ -31,7 +34,7 @@ def camera_cloud(
     return PointCloud(
         (rays * depth_m[:, None]).astype(np.float32),
         counts.astype(np.float32),
-        None if thermometer is None else thermometer.kelvin(counts),
+        None if kelvin is None else kelvin(counts),
     )
 
 
