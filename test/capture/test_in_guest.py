@@ -15,10 +15,10 @@ UNAVAILABLE = 77
 
 
 @pytest.mark.skipif("WITHOUT_GUEST" in os.environ, reason="WITHOUT_GUEST is set")
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_passes_in_the_guest():
     tests = [sys.executable, "-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider"]
-    options = ["--timeout", "540", "--env", "CAPTURE_GUEST=1"]
+    options = ["--timeout", "840", "--env", "CAPTURE_GUEST=1"]
     # Plugins cost seconds of the emulated processor, and none is needed.
     options += ["--env", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1"]
     run = subprocess.run(
