@@ -11,9 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from thermal_stereo_vo.benchmarks import contest as contests
 from thermal_stereo_vo.benchmarks import gaps, scaling
+from thermal_stereo_vo.benchmarks.extrinsics import with_yaw
 from thermal_stereo_vo.benchmarks.recorded import Recorded
 from thermal_stereo_vo.benchmarks.solvers import comparison_report, load_steps
 from thermal_stereo_vo.cli.main import main
@@ -492,3 +495,28 @@ def test_steps_without_agreement_are_refused():
     )
     with pytest.raises(DatasetError, match="no step of noise has matches that agree"):
         solver_comparison.compare_solvers(sequence)
+
+
+# -------------------------------------------------------------------------------------- extrinsics
+
+
+def test_a_wrong_yaw_is_put_in_and_reported(tmp_path, capsys):
+    arguments = ["--flights", "seq4", "--yaw", "0.4", "--length", "2", "--scale", "0.25"]
+    assert main(["benchmark", "extrinsics", *arguments, "--quiet"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:2] == ["flight", "yaw"]
+    (row,) = [line.split() for line in lines if line.startswith("seq4")]
+    assert row[1] == "+0.40"
+    assert len(row) == 7
+
+
+@given(st.floats(-2.0, 2.0))
+def test_the_right_eye_is_turned_about_its_vertical(yaw_mrad):
+    camera = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
+    rig = RigCalibration(
+        {"left": RigCamera(camera), "right": RigCamera(camera, exp_se3([0.2] * 6))}
+    )
+    turned = with_yaw(rig, yaw_mrad)
+    between = np.linalg.inv(rig["right"].T_rig_camera) @ turned["right"].T_rig_camera
+    np.testing.assert_allclose(between, exp_se3([0, 0, 0, 0, 1e-3 * yaw_mrad, 0]), atol=1e-12)
+    assert turned["left"] is rig["left"]

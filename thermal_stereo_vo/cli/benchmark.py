@@ -19,6 +19,7 @@ MEASUREMENTS = {
     "radiometry": "flat field, gate and scene-based refinement on real recordings",
     "shutterless": "odometry while the cores warm up without a shutter",
     "dense": "dense stereo by day and night beside plain OpenCV",
+    "extrinsics": "simulated flights with an error in the yaw between the eyes",
     "enhancement": "odometry on 8-bit views made in several ways",
 }
 """WHAT -> sentence.  The module ``benchmark_WHAT`` has ``add_WHAT_arguments`` and ``run_WHAT``."""
