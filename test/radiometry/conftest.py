@@ -49,6 +49,16 @@ def small_scene(rng: np.random.Generator) -> MovingScene:
     return make_scene(rng, (96, 128))
 
 
+@pytest.fixture
+def rough_scene(rng: np.random.Generator) -> MovingScene:
+    """Every block is full of structure."""
+    wall = np.full((136, 1328), 8000.0)
+    for sigma, contrast in ((8.0, 8.0), (2.0, 60.0)):
+        octave = cv2.GaussianBlur(rng.standard_normal(wall.shape), (0, 0), sigma)
+        wall += contrast * octave / octave.std()
+    return MovingScene(wall, (96, 128), rng)
+
+
 def make_scene(rng: np.random.Generator, shape: tuple[int, int]) -> MovingScene:
     size = (shape[0] + 40, shape[1] + 1200)
     wall = np.full(size, 8000.0)

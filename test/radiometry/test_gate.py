@@ -193,6 +193,32 @@ class TestShutterView:
         assert decisions[45].gap.epoch_changed
         assert gate.events[0].causes[0] is Cause.SHUTTER_VIEW
 
+    @pytest.mark.parametrize("speed_px", [4, 9, 15])
+    def test_it_is_found_although_every_block_moves(self, rough_scene, as_raw: AsRaw, speed_px):
+        """No quiet block tells of the sensor's noise: foliage from border to border."""
+        scene = rough_scene
+        images = [scene.view(speed_px * k) for k in range(60)]
+        for k in range(30, 45):
+            images[k] = scene.noisy(np.full(scene.shape, 8020.0))
+        gate = FrameGate()
+        decisions = run(gate, [as_raw(image, k) for k, image in enumerate(images)])
+        assert blind_frames(decisions) == list(range(30, 45))
+        assert [event.causes[0] for event in gate.events] == [Cause.SHUTTER_VIEW]
+
+    def test_the_same_flight_without_one_and_its_end_before_a_wall_are_none(
+        self, rough_scene, as_raw: AsRaw
+    ):
+        """Fast pan from foliage onto a bland wall: the edge takes ten frames to cross the view."""
+        scene = rough_scene
+        height, width = scene.shape
+        bland = np.full((height, 700), 8020.0)
+        strip = np.concatenate([scene.wall[:height, :600], bland], axis=1)
+        images = [scene.noisy(strip[:, 12 * k : 12 * k + width]) for k in range(80)]
+        gate = FrameGate()
+        decisions = run(gate, [as_raw(image, k) for k, image in enumerate(images)])
+        assert blind_frames(decisions) == []
+        assert list(gate.events) == []
+
     def test_8_bit_grey_noise_is_found_too(self, small_scene, as_raw: AsRaw, rng):
         images = [np.clip((v - 7700) / 3, 0, 255).astype(np.uint8) for v in flight(small_scene, 40)]
         for k in range(20, 30):

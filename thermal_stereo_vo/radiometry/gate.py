@@ -350,7 +350,9 @@ class FrameGate:
             return False
         contrast = float(np.median([past.contrast for past in self._history]))
         texture = float(np.median([past.texture for past in self._history]))
-        noise = float(np.median([past.quiet for past in self._history]))
+        # Where every block moves, changes between pictures tell nothing of the noise; a picture
+        # without structure does.
+        noise = min(self._typical("quiet"), statistics.grain)
         if contrast < 4.0 * noise or contrast <= 0.0 or texture <= 0.0:
             return False
         inside = self._episode is not None and Cause.SHUTTER_VIEW in self._episode.causes
