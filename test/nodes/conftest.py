@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,13 +83,23 @@ def textured_ramp() -> TexturedRamp:
 PAIRS = 24
 
 
-def write_ramp_bag(path: Path, ramp: TexturedRamp, *, blind: range = range(0)) -> None:
-    """A rig that flies and turns before the ramp at 10 Hz; the right eye misses some images."""
+def write_ramp_bag(
+    path: Path,
+    ramp: TexturedRamp,
+    *,
+    blind: range = range(0),
+    frozen: Mapping[str, range] | None = None,
+) -> None:
+    """A rig that flies and turns before the ramp at 10 Hz.
+
+    The right eye misses the images ``blind``; those ``frozen`` repeat the one before.
+    """
     from thermal_stereo_vo.core.camera_info import infos_from_calibration
     from thermal_stereo_vo.outputs.bag_writer import BagWriter
     from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
 
     rng = np.random.default_rng(6)
+    shown: dict[str, np.ndarray] = {}
     raw = raw_calibration()
     infos = infos_from_calibration(with_rectification(raw, RectificationConfig())[0])
     with BagWriter(path) as bag:
@@ -100,8 +110,9 @@ def write_ramp_bag(path: Path, ramp: TexturedRamp, *, blind: range = range(0)) -
                 if eye == RIGHT and i in blind:
                     continue
                 image = ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
-                noisy = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
-                bag.write_image(f"/{eye}/image_raw", stamp_ns, noisy, f"{eye}_optical")
+                if frozen is None or i not in frozen.get(eye, ()):
+                    shown[eye] = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
+                bag.write_image(f"/{eye}/image_raw", stamp_ns, shown[eye], f"{eye}_optical")
                 bag.write_camera_info(f"/{eye}/camera_info", stamp_ns, infos[eye], f"{eye}_optical")
 
 
@@ -116,9 +127,13 @@ class Ros:
         self._processes: list[tuple[str, subprocess.Popen[bytes], Path]] = []
         self.node = node
 
-    def start(self, name: str, **parameters: object) -> subprocess.Popen[bytes]:
+    def start(
+        self, name: str, remappings: Mapping[str, str] | None = None, **parameters: object
+    ) -> subprocess.Popen[bytes]:
         """Start a node of the package with these parameters ('__' stands for a dot)."""
         arguments = [sys.executable, "-m", f"thermal_stereo_vo.nodes.{name}", "--ros-args"]
+        for old, new in (remappings or {}).items():
+            arguments += ["-r", f"{old}:={new}"]
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else value
             arguments += ["-p", f"{key.replace('__', '.')}:={text}"]

@@ -121,3 +121,41 @@ def test_chain_of_nodes_equals_replay(
 
     assert clock_ns == sorted(clock_ns)
     assert stamps_ns(statuses)[0] <= clock_ns[0] <= clock_ns[-1] == stamps_ns(statuses)[-1]
+
+
+GATED = {f"{eye}/image_raw": f"{eye}/image_corrected" for eye in ("left", "right")}
+
+
+def test_corrections_reach_the_odometry_through_all_nodes(ros, write_bag, tmp_path: Path) -> None:
+    """Both eyes freeze for 0.5 s, later one alone: the nodes answer every pair as the replay."""
+    bag = tmp_path / "frozen"
+    write_bag(bag, frozen={"left": range(8, 13), "right": [*range(8, 13), *range(17, 20)]})
+    expected = replayed(bag, tmp_path / "run")
+    expected_odom, expected_status = expected["/odom"], expected["/status"]
+    letters = "".join(values(m)["status"][0] for m in expected_status)
+    assert letters == "I" + 7 * "T" + 5 * "G" + 11 * "T"
+    assert len(expected_odom) == len(expected_status) == 24
+
+    odometry: list[Odometry] = []
+    statuses: list[DiagnosticArray] = []
+
+    def on_status(message: DiagnosticArray) -> None:
+        if not message.status[0].name.startswith("thermal correction"):
+            statuses.append(message)
+
+    qos = QoSProfile(depth=200)
+    ros.node.create_subscription(Odometry, "odom", odometry.append, qos)
+    ros.node.create_subscription(DiagnosticArray, "status", on_status, qos)
+    ros.start("thermal_correction_node", process_all=True, use_sim_time=True)
+    ros.start("rectification_node", GATED, process_all=True, gated=True, use_sim_time=True)
+    ros.start("stereo_odometry_node", process_all=True, gated=True, use_sim_time=True)
+    ros.spin_until(lambda: ros.node.count_publishers("odom") > 0, "the odometry node")
+    replay = ros.start("replay_node", source=bag, rate=0.0)
+    ros.spin_until(lambda: replay.poll() is not None, "the end of the recording")
+    ros.spin_until(lambda: len(statuses) >= 24 and len(odometry) >= 24, "every answer")
+
+    assert stamps_ns(odometry) == stamps_ns(expected_odom)
+    assert [values(m) for m in statuses] == [values(m) for m in expected_status]
+    assert {values(m)["reason"] for m in statuses[8:13]} == {"left eye: frozen, right eye: frozen"}
+    for got, wanted in zip(odometry, expected_odom, strict=True):
+        np.testing.assert_allclose(numbers(got), numbers(wanted), rtol=1e-6, atol=1e-9)

@@ -55,6 +55,8 @@ def test_a_blind_camera_goes_on_without_image_and_tells_its_gap_after(small_scen
     frames = [front_end.process(as_raw(image, k)) for k, image in enumerate(images)]
     assert [k for k, frame in enumerate(frames) if frame.image is None] == list(range(20, 35))
     assert [frame.sequence for frame in frames] == list(range(50))
+    assert {frame.blind for frame in frames[20:35]} == {GapReason.FROZEN}
+    assert {frame.blind for frame in (*frames[:20], *frames[35:])} == {None}
     assert frames[35].gap.reason is GapReason.FFC
     assert [frame.epoch for frame in frames] == [0] * 35 + [1] * 15
     assert front_end.decision.state is GateState.TRACKING

@@ -276,8 +276,7 @@ def test_assembled_frame_says_who_is_blind_and_why():
     assert (both.stamp_ns, both.skew_ns, dict(both.blind)) == (1_000, 500, {})
     assert assemble(rectifier, replace(good, stamp_ns=2_000), late, 2_000).skew_ns == -500
 
-    gap = Gap(1, GapReason.FROZEN, epoch_changed=False)
-    blind = assemble(rectifier, good, replace(late, image=None, gap=gap), 1_000)
+    blind = assemble(rectifier, good, replace(late, image=None, blind=GapReason.FROZEN), 1_000)
     assert set(blind.views) == {"left"}
     assert blind.blind == {"right": GapReason.FROZEN}
     alone = assemble(rectifier, None, late, 1_500)

@@ -92,7 +92,8 @@ class RadiometricFrame:
     """One camera's linear counts after gating and flat-field correction.
 
     ``image`` is (H, W) uint16 or uint8 counts, or None while the gate holds the camera blind (FFC,
-    frozen, corrupt): stamp and sequence still go on.  ``mask`` is (H, W) bool, True where a pixel
+    frozen, corrupt), which ``blind`` then gives a reason for: stamp and sequence still go on.
+    ``mask`` is (H, W) bool, True where a pixel
     may be used; None means all.  ``epoch`` counts the flat-field corrections seen so far.  ``gap``
     is set on the first good frame after a gap.
     """
@@ -105,6 +106,7 @@ class RadiometricFrame:
     epoch: int = 0
     gap: Gap | None = None
     telemetry: Telemetry | None = None
+    blind: GapReason | None = None
 
     def __post_init__(self) -> None:
         _freeze(self.image, self.mask)

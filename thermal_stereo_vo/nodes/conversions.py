@@ -207,6 +207,22 @@ def diagnostics_to_msg(*statuses: DiagnosticFields) -> DiagnosticArray:
     return message
 
 
+def diagnostics_from_msg(message: DiagnosticArray) -> list[DiagnosticFields]:
+    """The statuses of an array, each with the stamp of its header."""
+    stamp_ns = stamp_from_msg(message.header.stamp)
+    return [
+        DiagnosticFields(
+            stamp_ns,
+            status.level[0],
+            status.name,
+            status.message,
+            tuple((pair.key, pair.value) for pair in status.values),
+            status.hardware_id,
+        )
+        for status in message.status
+    ]
+
+
 def _image(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
     message = Image()
     message.header.stamp = stamp_to_msg(stamp_ns)

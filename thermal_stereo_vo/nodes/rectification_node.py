@@ -35,6 +35,11 @@ class RectificationNodeConfig:
         False,
         "Ask for every image, reliably and in order (recordings), in place of the newest (flight).",
     )
+    gated: bool = setting(
+        False,
+        "The images come from thermal_correction: wait for what its status says of each, so that "
+        "gaps and corrections are known, and an eye that is blind is known to be.",
+    )
 
 
 class RectificationNode(runtime.BaseNode[RectificationNodeConfig]):
@@ -45,6 +50,7 @@ class RectificationNode(runtime.BaseNode[RectificationNodeConfig]):
     TOPICS = """
         in   left/image_raw, right/image_raw      sensor_msgs/Image (mono8, mono16)
         in   left/camera_info, right/camera_info  sensor_msgs/CameraInfo of the stereo pair
+        in   status                               what thermal_correction says; with gated
         out  left/image_rect, right/image_rect    sensor_msgs/Image, same type, common stamp
         out  left/mask, right/mask                sensor_msgs/Image mono8, 255 = usable, latched
         out  /diagnostics                         diagnostic_msgs/DiagnosticArray
@@ -76,6 +82,7 @@ class RectificationNode(runtime.BaseNode[RectificationNodeConfig]):
             self.config.process_all,
             self._on_pair,
             self.get_logger().warning,
+            gated=self.config.gated,
         )
         calibration = CalibrationInput(self, self._on_calibration)
         self.watch_inputs(calibration.topics)

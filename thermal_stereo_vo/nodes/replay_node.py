@@ -28,6 +28,7 @@ from thermal_stereo_vo.datasets.base import Dataset
 from thermal_stereo_vo.datasets.registry import SourceOptions, open_dataset, require_calibration
 from thermal_stereo_vo.nodes import conversions, runtime
 from thermal_stereo_vo.nodes.stereo_input import EYES, patient
+from thermal_stereo_vo.outputs.gate_fields import report_from_fields
 from thermal_stereo_vo.outputs.ros_fields import OK, DiagnosticFields
 from thermal_stereo_vo.stereo.pairing import PairingConfig, StereoPairer
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
@@ -207,6 +208,8 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
         self._clock_out.publish(conversions.clock_to_msg(stamp_ns))
 
     def _on_status(self, message: DiagnosticArray) -> None:
+        if any(map(report_from_fields, conversions.diagnostics_from_msg(message))):
+            return  # that of the correction, which comes long before the odometry's
         answered_ns = conversions.stamp_from_msg(message.header.stamp)
         with self._answer:
             while self._unanswered and self._unanswered[0] <= answered_ns:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -14,6 +15,8 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT
 from thermal_stereo_vo.core.errors import ThermalStereoError
 from thermal_stereo_vo.core.frames import RadiometricFrame
 from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.outputs.gate_fields import report_from_fields
+from thermal_stereo_vo.radiometry.gate_reports import MOST_WAITING, GatedFrames
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
 
 if TYPE_CHECKING:
@@ -67,7 +70,8 @@ class ImageInput:
     eye's first images can come late, as each topic is discovered on its own.
 
     A stamp that comes again is passed over; one that goes back starts the pairing anew and tells
-    ``on_restart``.  ``masks`` go with the frames of their eye.
+    ``on_restart``.  ``masks`` go with the frames of their eye.  ``gated`` images come from
+    ``thermal_correction``: they are joined with what its ``status`` says of each.
     """
 
     def __init__(
@@ -78,14 +82,18 @@ class ImageInput:
         process_all: bool,
         on_pair: Callable[[Pair[RadiometricFrame]], None],
         on_restart: Callable[[str], None],
+        *,
+        gated: bool = False,
     ) -> None:
         self._node = node
         self._process_all = process_all
+        self._gated = gated
         self._on_pair = on_pair
         self._on_restart = on_restart
         self._guard = runtime.StampGuard()
         self._pairing = pairing
         self._pairer = self._new_pairer()
+        self._gates = self._new_gates()
         self._received = dict.fromkeys(EYES, 0)
         self._repeated = 0
         self._subscriptions: list[Any] = []
@@ -109,6 +117,12 @@ class ImageInput:
             )
             for eye, topic in zip(EYES, self.topics, strict=True)
         ]
+        if self._gated:
+            self._subscriptions.append(
+                self._node.create_subscription(
+                    DiagnosticArray, "status", self._on_status, runtime.IMAGES_ALL
+                )
+            )
 
     def close(self) -> None:
         """Ask for no more images and forget those that wait."""
@@ -121,6 +135,7 @@ class ImageInput:
         """Forget the images that wait for a partner; any stamp may follow."""
         self._pairing = pairing or self._pairing
         self._pairer = self._new_pairer()
+        self._gates = self._new_gates()
         self._guard.forget()
 
     def counters(self) -> tuple[tuple[str, str], ...]:
@@ -149,6 +164,11 @@ class ImageInput:
     def _new_pairer(self) -> StereoPairer[RadiometricFrame]:
         return StereoPairer(patient(self._pairing) if self._process_all else self._pairing)
 
+    def _new_gates(self) -> dict[str, GatedFrames]:
+        waiting = runtime.PATIENT if self._process_all else MOST_WAITING
+        tolerance_ns = round(self._pairing.tolerance_ms * 1e6)
+        return {eye: GatedFrames(eye, tolerance_ns, waiting) for eye in EYES}
+
     def _on_image(self, eye: str, topic: str, message: Image) -> None:
         self._node.saw(topic)
         stamp_ns = conversions.stamp_from_msg(message.header.stamp)
@@ -158,6 +178,7 @@ class ImageInput:
             return
         if order is runtime.StampOrder.BACK:
             self._pairer = self._new_pairer()
+            self._gates = self._new_gates()
             self._on_restart(
                 f"the stamps of {self._node.resolve_topic_name(topic)} went back: a recording "
                 "started anew, or two senders publish on the topic"
@@ -168,7 +189,22 @@ class ImageInput:
                 image, stamp_ns, eye, self._received[eye], mask=self.masks.get(eye)
             )
             self._received[eye] += 1
-            for pair in self._pairer.push(EYES.index(eye), frame):
-                self._on_pair(pair)
+            self._push(eye, self._gates[eye].seen(frame) if self._gated else [frame])
         except ThermalStereoError as error:
             self._node.refuse(error)
+
+    def _on_status(self, message: DiagnosticArray) -> None:
+        for status in conversions.diagnostics_from_msg(message):
+            found = report_from_fields(status)
+            if found is None or found[0] not in EYES:
+                continue
+            eye, report = found
+            try:
+                self._push(eye, self._gates[eye].told(report))
+            except ThermalStereoError as error:
+                self._node.refuse(error)
+
+    def _push(self, eye: str, frames: Iterable[RadiometricFrame]) -> None:
+        for frame in frames:
+            for pair in self._pairer.push(EYES.index(eye), frame):
+                self._on_pair(pair)

@@ -66,6 +66,11 @@ class StereoOdometryNodeConfig:
         "Process every pair, reliably and in order (recordings); else the newest pair wins and "
         "those that come too fast are dropped and counted (flight).",
     )
+    gated: bool = setting(
+        False,
+        "The images come from thermal_correction: wait for what its status says of each, so that "
+        "gaps and corrections are known, and an eye that is blind is known to be.",
+    )
     odom_frame: str = setting("odom", "Frame of the poses (REP-105).")
     base_frame: str = setting("base_link", "Frame of the vehicle (REP-105).")
     publish_tf: bool = setting(

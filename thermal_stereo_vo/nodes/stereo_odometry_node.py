@@ -36,6 +36,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         in   left/image_rect, right/image_rect    sensor_msgs/Image (mono8, mono16)
         in   left/camera_info, right/camera_info  sensor_msgs/CameraInfo; P is used
         in   left/mask, right/mask                sensor_msgs/Image mono8, 255 = usable; optional
+        in   status                               what thermal_correction says; with gated
         out  odom                                 nav_msgs/Odometry, silent while lost
         out  points                               sensor_msgs/PointCloud2 in odom_frame
         out  disparity                            stereo_msgs/DisparityImage, while somebody listens
@@ -66,6 +67,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
             config.process_all,
             self._on_pair,
             self._thread.start_again,
+            gated=config.gated,
         )
         for eye in EYES:
             self.create_subscription(

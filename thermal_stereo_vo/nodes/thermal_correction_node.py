@@ -95,7 +95,7 @@ class ThermalCorrectionNode(runtime.BaseNode[ThermalCorrectionNodeConfig]):
         self._inhibited_until_s: float | None = None
         self._subscriptions_to_images: list[Any] = []
         self._topics = [f"{eye}/image_raw" for eye in EYES]
-        self._status = self.create_publisher(DiagnosticArray, "status", runtime.RELIABLE)
+        self._status = self.create_publisher(DiagnosticArray, "status", runtime.IMAGES_ALL)
         self._out = {
             eye: self.create_publisher(
                 Image,

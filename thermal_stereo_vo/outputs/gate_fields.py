@@ -8,6 +8,7 @@ from thermal_stereo_vo.core.frames import Gap, GapReason, RadiometricFrame
 from thermal_stereo_vo.outputs.ros_fields import ERROR, OK, WARN, DiagnosticFields
 from thermal_stereo_vo.radiometry.flat_field import FlatFieldStatus
 from thermal_stereo_vo.radiometry.gate import GateDecision, GateState
+from thermal_stereo_vo.radiometry.gate_reports import GateReport
 
 NAME = "thermal correction"
 
@@ -30,6 +31,8 @@ def gate_fields(
         "blind": str(decision.blind).lower(),
         "epoch": str(frame.epoch),
     }
+    if frame.blind is not None:
+        values["blind_reason"] = frame.blind.value
     if decision.causes:
         values["causes"] = ", ".join(cause.value for cause in decision.causes)
     if frame.gap is not None:
@@ -45,6 +48,20 @@ def gate_fields(
         message=message,
         values=tuple(values.items()),
     )
+
+
+def report_from_fields(fields: DiagnosticFields) -> tuple[str, GateReport] | None:
+    """Camera and what its gate said of a frame; None for the status of anything else."""
+    values = dict(fields.values)
+    epoch_and_gap = gap_from_values(values)
+    if epoch_and_gap is None or fields.name != f"{NAME} {values.get('camera')}":
+        return None
+    reason = values.get("blind_reason")
+    try:
+        blind = None if reason is None else GapReason(reason)
+    except ValueError:
+        return None
+    return values["camera"], GateReport(fields.stamp_ns, *epoch_and_gap, blind)
 
 
 def gap_from_values(values: Mapping[str, str]) -> tuple[int, Gap | None] | None:

@@ -104,6 +104,7 @@ class ThermalFrontEnd:
             epoch=decision.epoch,
             gap=decision.gap,
             telemetry=raw.telemetry,
+            blind=decision.reason,
         )
 
     def check(self, silence_s: float) -> GateEvent | None:

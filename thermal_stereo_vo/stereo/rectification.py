@@ -143,8 +143,8 @@ def assemble(
         if view is not None:
             views[role] = view
         else:
-            gap = None if frame is None else frame.gap
-            blind[role] = GapReason.DROPPED if gap is None else gap.reason
+            reason = None if frame is None else frame.blind
+            blind[role] = GapReason.DROPPED if reason is None else reason
     skew_ns = 0 if first is None or second is None else second.stamp_ns - first.stamp_ns
     return RigFrame(stamp_ns=stamp_ns, views=views, blind=blind, skew_ns=skew_ns)
 
