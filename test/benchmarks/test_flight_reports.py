@@ -78,13 +78,13 @@ def test_the_flat_field_of_a_warming_core_fits_its_own_flight_only():
 
 def test_a_row_for_each_way():
     cells = [
-        ShutterlessCell("perfect", 1, 10.0, 0.2, 0.3, 200.0, 0),
-        ShutterlessCell("perfect", 2, 11.0, 0.4, 0.5, 100.0, 1),
-        ShutterlessCell("uncorrected", 1, 10.0, None, 9.0, 50.0, 3),
+        ShutterlessCell("perfect", 1, 10.0, 0.2, 0.3, 200.0, 0.5, 0),
+        ShutterlessCell("perfect", 2, 11.0, 0.4, 0.5, 100.0, 0.3, 1),
+        ShutterlessCell("uncorrected", 1, 10.0, None, 9.0, 50.0, 2.0, 3),
     ]
     lines = shutterless_report(cells).splitlines()
-    assert lines[2].split() == ["perfect", "2", "10.5", "0.300", "0.400", "150", "1"]
-    assert lines[3].split() == ["uncorrected", "1", "10.0", "-", "9.000", "50", "3"]
+    assert lines[2].split() == ["perfect", "2", "10.5", "0.300", "0.400", "150", "0.40", "1"]
+    assert lines[3].split() == ["uncorrected", "1", "10.0", "-", "9.000", "50", "2.00", "3"]
 
 
 @pytest.mark.parametrize(

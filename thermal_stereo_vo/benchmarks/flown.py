@@ -39,6 +39,12 @@ class Flown:
         return float(np.mean([result.stats.inliers for result in self.results]))
 
     @property
+    def zero_flow_percent(self) -> float:
+        """Inliers that stuck to the sensor while the scene moved, of each hundred."""
+        inliers = sum(result.stats.inliers for result in self.results)
+        return 100.0 * sum(result.stats.zero_flow for result in self.results) / max(inliers, 1)
+
+    @property
     def lost_frames(self) -> int:
         """Frames without a pose."""
         return sum(result.status is TrackingStatus.LOST for result in self.results)

@@ -78,6 +78,7 @@ class ShutterlessCell:
     translation_percent: float | None
     final_error_m: float
     mean_inliers: float
+    zero_flow_percent: float
     lost_frames: int
 
 
@@ -146,6 +147,7 @@ def measure_way(
         flown.metrics.avg_translation_error_percent,
         flown.metrics.final_error_m,
         flown.mean_inliers,
+        flown.zero_flow_percent,
         flown.lost_frames,
     )
 
@@ -156,11 +158,12 @@ def measure_ways(
     overrides: Sequence[str],
     config: Config,
     cache: Path,
+    ways: Sequence[str] = tuple(WAYS),
     on_progress: Callable[[], None] = lambda: None,
 ) -> Iterator[ShutterlessCell]:
-    """Every way with every seed."""
+    """Each of the ``ways`` with every seed."""
     for seed in seeds:
-        for way in WAYS:
+        for way in ways:
             yield measure_way(way, seed, preset, overrides, config, cache)
             on_progress()
 
@@ -179,8 +182,18 @@ def shutterless_report(cells: Sequence[ShutterlessCell]) -> str:
                 f"{np.mean(percents):.3f}" if percents else "-",
                 f"{np.mean([cell.final_error_m for cell in mine]):.3f}",
                 f"{np.mean([cell.mean_inliers for cell in mine]):.0f}",
+                f"{np.mean([cell.zero_flow_percent for cell in mine]):.2f}",
                 str(sum(cell.lost_frames for cell in mine)),
             ]
         )
-    header = ["way", "seeds", "warmed (K)", "error (%)", "final (m)", "inliers", "LOST frames"]
+    header = [
+        "way",
+        "seeds",
+        "warmed (K)",
+        "error (%)",
+        "final (m)",
+        "inliers",
+        "zero flow (%)",
+        "LOST frames",
+    ]
     return format_table(header, rows)

@@ -20,6 +20,10 @@ def add_shutterless_arguments(parser: argparse.ArgumentParser) -> None:
         "refinement and under both with that of cores without fixed pattern."
     )
     add_flight_arguments(parser)
+    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="frame rate (10)")
+    parser.add_argument(
+        "--ways", metavar="A,B", help="some of the ways: perfect, uncorrected, refinement, ..."
+    )
 
 
 def run_shutterless(args: argparse.Namespace) -> int:
@@ -34,12 +38,21 @@ def run_shutterless(args: argparse.Namespace) -> int:
         shutterless_report,
         warming_settings,
     )
+    from thermal_stereo_vo.core.errors import ConfigError
     from thermal_stereo_vo.pipeline import Config
 
-    settings = (*flight_settings(args), *warming_settings(args.length))
+    ways = tuple(WAYS) if args.ways is None else tuple(args.ways.split(","))
+    unknown = [way for way in ways if way not in WAYS]
+    if unknown:
+        raise ConfigError(f"--ways takes some of {', '.join(WAYS)}, got '{args.ways}'")
+    settings = (
+        *flight_settings(args),
+        *warming_settings(args.length),
+        f"rate_hz={args.rate}",
+    )
     seeds = range(1, args.seeds + 1)
-    flights = args.seeds * len(WAYS)
+    flights = args.seeds * len(ways)
     with picture_cache(args) as cache, progress(flights, "flight", quiet=args.quiet) as step:
-        cells = list(measure_ways(seeds, args.preset, settings, Config(), cache, step))
+        cells = list(measure_ways(seeds, args.preset, settings, Config(), cache, ways, step))
     print(shutterless_report(cells))
     return 0

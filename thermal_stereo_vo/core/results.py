@@ -30,7 +30,8 @@ class TrackStats:
     """Counts and figures of one ``process`` call; zero where a stage did not run.
 
     ``epipolar_dy_px`` is the median row of the right eye less that of the left, ``right_turn_mrad``
-    what the method found of pitch, yaw and roll of the right eye that calibration left.
+    what the method found of pitch, yaw and roll of the right eye that calibration left.  ``zero_flow`` counts the inliers that kept their pixel though the scene moved: features of the
+    sensor itself.
     """
 
     features: int = 0
@@ -41,6 +42,7 @@ class TrackStats:
     evaluations: int = 0
     epipolar_dy_px: float = 0.0
     right_turn_mrad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    zero_flow: int = 0
     keyframe: bool = False
     stage_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
 

@@ -273,6 +273,7 @@ def status_fields(result: OdometryResult, *, name: str = "odometry") -> Diagnost
         "evaluations": str(stats.evaluations),
         "epipolar_dy_px": f"{stats.epipolar_dy_px:.3f}",
         "right_turn_mrad": " ".join(f"{angle:.3f}" for angle in stats.right_turn_mrad),
+        "zero_flow": str(stats.zero_flow),
         "keyframe": str(stats.keyframe).lower(),
     }
     values |= {f"{stage}_ms": f"{ms:.3f}" for stage, ms in stats.stage_ms.items()}

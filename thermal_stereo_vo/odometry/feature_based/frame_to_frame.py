@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from thermal_stereo_vo.core.cameras import LEFT, RIGHT
 from thermal_stereo_vo.core.frames import CameraView, GapReason, RigFrame
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus, TrackStats
-from thermal_stereo_vo.core.transforms import transform_points
+from thermal_stereo_vo.core.transforms import inverse, transform_points
 from thermal_stereo_vo.observers import StageTimer
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig, FeatureMatcher
+from thermal_stereo_vo.odometry.feature_based.fixed_pattern import on_fixed_pattern
 from thermal_stereo_vo.odometry.feature_based.loop_matching import LoopMatches, StereoFeatures
 from thermal_stereo_vo.odometry.feature_based.motion import Motion
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
@@ -128,6 +129,7 @@ class FrameToFrameOdometry:
         self._reference = _Reference(features, pose, stamp_ns)
         self._map = _cloud(matches, motion, left, camera, pose.T_world_rig)
         dy_px = matches.left[motion.inliers, 1] - matches.right[motion.inliers, 1]
+        stuck = _stuck(matches, camera, inverse(motion.T_current_previous))
         stats = replace(
             stats,
             matches=len(matches),
@@ -136,6 +138,7 @@ class FrameToFrameOdometry:
             iterations=motion.solution.iterations,
             evaluations=motion.solution.evaluations,
             epipolar_dy_px=float(np.median(dy_px)),
+            zero_flow=int(np.sum(stuck[motion.inliers])),
         )
         return state.measured(pose, motion.T_current_previous, motion.covariance, elapsed_s, stats)
 
@@ -148,6 +151,9 @@ class FrameToFrameOdometry:
     ) -> tuple[Motion, LoopMatches] | None:
         with self._timer.stage("match"):
             matches = self._matcher.match(features, reference.features, camera, T_reference_current)
+            if T_reference_current is not None:
+                stuck = _stuck(matches, camera, T_reference_current)
+                matches = matches.take(np.flatnonzero(~stuck)) if np.any(stuck) else matches
         with self._timer.stage("motion"):
             motion = self._matcher.measure(matches, camera, T_reference_current)
         return None if motion is None else (motion, matches)
@@ -158,6 +164,14 @@ def blindness(frame: RigFrame) -> str:
     reasons = {role: frame.blind.get(role, GapReason.DROPPED) for role in (LEFT, RIGHT)}
     blind = [f"{role} eye: {reasons[role].value}" for role in reasons if role not in frame.views]
     return ", ".join(blind)
+
+
+def _stuck(
+    matches: LoopMatches, camera: StereoCamera, T_reference_current: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(N,) those that stick to the sensor; a loop on the pattern sticks to that of both eyes."""
+    predicted = camera.predict_right(matches.left, matches.right, T_reference_current)
+    return on_fixed_pattern(matches.right, matches.previous_right, predicted)
 
 
 def _cloud(

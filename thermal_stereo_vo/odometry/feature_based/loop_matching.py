@@ -104,6 +104,17 @@ class LoopMatches:
     def __len__(self) -> int:
         return len(self.left)
 
+    def take(self, chosen: NDArray[np.intp]) -> LoopMatches:
+        """Those at the positions ``chosen``."""
+        return LoopMatches(
+            self.left[chosen],
+            self.right[chosen],
+            self.previous_left[chosen],
+            self.previous_right[chosen],
+            self.distance[chosen],
+            self.index[chosen],
+        )
+
 
 def match_loops(
     current: StereoFeatures,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.config import setting
 from thermal_stereo_vo.core.frames import CameraView
+from thermal_stereo_vo.odometry.feature_based.fixed_pattern import on_fixed_pattern
 from thermal_stereo_vo.odometry.feature_based.frame_pose import (
     FramePose,
     mark_inliers,
@@ -82,6 +83,12 @@ class Tracked:
         """Number of inliers."""
         return int(self.inliers.sum())
 
+    def zero_flow(self, window: KeyframeWindow) -> int:
+        """Inliers that stick to the sensor, by the pose that all of them gave."""
+        predicted, _ = window.predict(self.points, self.pose.T_camera_world, 1.0)
+        stuck = on_fixed_pattern(self.points.host_px, self.observed[:, :2], predicted[:, :2])
+        return int(np.sum(stuck & self.inliers))
+
     def epipolar_dy_px(self) -> float:
         """Median row of the right eye minus row of the left; 0 while an eye is blind."""
         dy_px = self.observed[self.inliers, 3] - self.observed[self.inliers, 1]
@@ -115,8 +122,8 @@ class PatchTracker:
     ) -> tuple[WindowPoints, NDArray[np.float64], NDArray[np.float64]]:
         """Look for all points of the window around where ``T_start`` T_camera_world puts them.
 
-        Returns the points, (N, 4) observations with NaN for what was not found, and the (N,)
-        correlation of the patches.
+        Returns the points, (N, 4) observations with NaN for what was not found or sticks to the
+        sensor, and the (N,) correlation of the patches.
         """
         points = window.points()
         predicted, warps = window.predict(points, T_start, float(self._config.patch_radius_px))
@@ -132,6 +139,7 @@ class PatchTracker:
         future = self._worker.submit(run, slice(half, len(points)))
         run(slice(0, half))
         future.result()
+        observed[on_fixed_pattern(points.host_px, observed[:, :2], predicted[:, :2])] = np.nan
         return points, observed, score
 
     def locate(
