@@ -34,6 +34,22 @@ def test_the_measured_motion_goes_on_in_proportion():
     assert prior.twist is None
 
 
+@pytest.mark.parametrize(("step_s", "averaged"), [(0.1, 1), (0.05, 2), (1.0 / 30.0, 3), (0.5, 1)])
+def test_a_gap_begins_with_the_mean_of_the_last_tenth_of_a_second(step_s, averaged):
+    prior = ConstantVelocity()
+    rates = np.arange(1.0, 8.0)
+    for rate in rates:
+        prior.update(exp_se3(np.array([0, 0, rate, 0, 0.1 * rate, 0]) * step_s), step_s)
+    assert prior.twist[2] == pytest.approx(7.0, abs=1e-6)
+    for _ in range(2):  # once is enough
+        prior.coast()
+        np.testing.assert_allclose(prior.twist[2], rates[-averaged:].mean(), atol=1e-6)
+        np.testing.assert_allclose(prior.twist[4], 0.1 * rates[-averaged:].mean(), atol=1e-6)
+    prior.forget()
+    prior.coast()
+    assert prior.twist is None
+
+
 def test_coasting_costs_what_the_accelerations_may_do():
     """0.5 s at 3 m/s^2 and 2 rad/s^2: 0.375 m, 0.25 rad, 1.5 m/s and 1 rad/s (one sigma)."""
     sigma = np.sqrt(np.diag(coasting_covariance(0.0, 0.5)))

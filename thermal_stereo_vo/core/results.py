@@ -30,7 +30,8 @@ class TrackStats:
     """Counts and figures of one ``process`` call; zero where a stage did not run.
 
     ``epipolar_dy_px`` is the median row of the right eye less that of the left, ``right_turn_mrad``
-    what the method found of pitch, yaw and roll of the right eye that calibration left.  ``zero_flow`` counts the inliers that kept their pixel though the scene moved: features of the
+    what the method found of pitch, yaw and roll of the right eye that calibration left.
+    ``zero_flow`` counts the inliers that kept their pixel though the scene moved: features of the
     sensor itself.
     """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,15 +14,30 @@ ACCELERATION_M_S2 = 3.0
 ANGULAR_ACCELERATION_RAD_S2 = 2.0
 
 
+MEMORY_S = 0.1
+"""Over this time the noise of a twist is averaged before a gap; gusts make a longer one worse."""
+
+
 class ConstantVelocity:
     """The twist of the last measured motion goes on."""
 
     def __init__(self) -> None:
         self.twist: NDArray[np.float64] | None = None
+        self._recent: deque[tuple[float, NDArray[np.float64]]] = deque()
 
     def update(self, T_before_after: NDArray[np.float64], duration_s: float) -> None:
         """Learn from a measured motion (4, 4)."""
         self.twist = log_se3(T_before_after) / duration_s
+        self._recent.append((duration_s, self.twist))
+        while len(self._recent) > 1 and sum(s for s, _ in self._recent) > 1.01 * MEMORY_S:
+            self._recent.popleft()
+
+    def coast(self) -> None:
+        """Go on with the mean twist of the last ``MEMORY_S``: for predictions over many frames."""
+        if self._recent:
+            durations_s, twists = zip(*self._recent, strict=True)
+            self.twist = np.average(twists, axis=0, weights=durations_s)
+            self._recent.clear()
 
     def predict(
         self, duration_s: float, rotation: NDArray[np.float64] | None = None
@@ -43,6 +60,7 @@ class ConstantVelocity:
     def forget(self) -> None:
         """Drop the twist."""
         self.twist = None
+        self._recent.clear()
 
 
 def coasting_covariance(unseen_s: float, step_s: float) -> NDArray[np.float64]:

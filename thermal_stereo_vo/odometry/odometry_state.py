@@ -92,6 +92,11 @@ class OdometryState:
         """(4, 4) T_before_after of the last ``elapsed_s`` before the frame just taken."""
         return self.prior.predict(elapsed_s, self._felt(elapsed_s))
 
+    def foretold_covariance(self) -> NDArray[np.float64]:
+        """(6, 6) of the prediction for the frame just taken, given the last measured pose."""
+        unseen_s = self._status.unseen_s(self._now)
+        return coasting_covariance(0.0, unseen_s) + unseen_s**2 * self._twist_covariance
+
     def started(self, stats: TrackStats, reason: str = "first frame") -> OdometryResult:
         """The first usable frame: its pose is the start."""
         return self._result(self._status.started(self._now), stats, reason)
@@ -126,6 +131,7 @@ class OdometryState:
         if felt is not None and self._gyro is not None:
             unknown[3:, 3:] = self._gyro.coasting_variance(unseen_s, self._step_s) * np.eye(3)
         if status is TrackingStatus.GAP:
+            self.prior.coast()
             motion = self.prior.predict(self._step_s, felt)
             self.pose = self.pose.moved(inverse(motion), unknown)
             if felt is not None:

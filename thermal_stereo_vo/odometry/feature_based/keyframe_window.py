@@ -155,6 +155,10 @@ class KeyframeWindow:
         )
         return predicted, warps
 
+    def count_in_sight(self, T_camera_world: NDArray[np.float64]) -> int:
+        """How many points the left eye has before it there."""
+        return int(np.sum(self._in_sight(self.points(), T_camera_world)))
+
     def parallax_px(self, points: WindowPoints, T_camera_world: NDArray[np.float64]) -> float:
         """Median flow of points of the newest keyframe since then, less what is due to rotation."""
         T = T_camera_world @ inverse(self.T_keyframe_world[self.newest])
@@ -187,11 +191,7 @@ class KeyframeWindow:
         most_misses: int,
     ) -> None:
         """Drop points that should be in sight but were missed too many times in a row."""
-        predicted, _ = self.predict(points, T_camera_world, 1.0)
-        height, width = self.images.stacks[0].shape[1:]
-        x, y = predicted[:, 0], predicted[:, 1]
-        in_sight = (x > BORDER_PX) & (x < width - BORDER_PX)
-        in_sight &= (y > BORDER_PX) & (y < height - BORDER_PX)
+        in_sight = self._in_sight(points, T_camera_world)
         self._misses[points.index[good]] = 0
         missed = points.index[in_sight & ~good]
         self._misses[missed] += 1
@@ -302,6 +302,17 @@ class KeyframeWindow:
         in_host = np.isnan(self._observed[hosts, index, 2])
         seen = np.sum(np.isfinite(self._observed[slots][:, index, 0]), axis=0)
         self._drop(index[in_host & (seen < 3)])
+
+    def _in_sight(
+        self, points: WindowPoints, T_camera_world: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """(N,) whether each point should appear in the left image."""
+        predicted, _ = self.predict(points, T_camera_world, 1.0)
+        height, width = self.images.stacks[0].shape[1:]
+        x, y = predicted[:, 0], predicted[:, 1]
+        in_sight = (x > BORDER_PX) & (x < width - BORDER_PX)
+        in_sight &= (y > BORDER_PX) & (y < height - BORDER_PX)
+        return np.asarray(in_sight)
 
     def _forget_oldest(self) -> None:
         """The second oldest becomes the one held fixed, with the uncertainty it has by now."""

@@ -11,7 +11,7 @@ gap, a fast turn), descriptors find the way back to the newest keyframe.
 from __future__ import annotations
 
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,17 @@ from thermal_stereo_vo.odometry.workers import make_worker
 
 MOST_MISSES = 3
 """A point that should be in sight but is not found this many times in a row is given up."""
+STILL_ALIKE = 0.9
+"""Share of a keyframe's points above which another frame shows hardly anything new."""
+
+
+@dataclass(frozen=True)
+class _LastView:
+    """A frame of both eyes that was measured and is no keyframe (yet)."""
+
+    frame: RigFrame
+    pyramids: Pyramids
+    tracked: Tracked
 
 
 @dataclass(frozen=True)
@@ -150,7 +161,9 @@ class WindowedOdometry:
         self._bundle_index = np.zeros(0, np.int64)
         self._last_measured = self._state.pose
         self._last_measured_ns = 0
+        self._last_covariance = np.zeros((6, 6))
         self._tracked: Tracked | None = None
+        self._last_view: _LastView | None = None
 
     def local_map(self) -> PointCloud:
         """The points that the last frame saw."""
@@ -166,6 +179,8 @@ class WindowedOdometry:
         self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
         if self._window is not None:
             self._finish_bundle(self._window)
+            if len(frame.views) < 2:
+                self._keep_last_view(self._window)
         if not frame.views:
             self._tracked = None
             result = self._state.unmeasured(TrackStats(), blindness(frame))
@@ -186,14 +201,49 @@ class WindowedOdometry:
                 T_found = self._find_back(window, frame)
             if T_found is not None:
                 tracked = self._look(window, pyramids, T_found)
+        if tracked is None and len(frame.views) == 2:
+            tracked, frame = self._look_with_one_eye(window, frame, pyramids)
+        if tracked is not None and len(frame.views) < 2 and self._is_worse_than_guessed(tracked):
+            tracked = None
         self._tracked = tracked
         if tracked is not None:
             return self._measured(window, frame, pyramids, tracked)
+        self._last_view = None
         result = self._state.unmeasured(TrackStats(), "too few points of the keyframes found")
-        if result.status is TrackingStatus.LOST and len(frame.views) == 2:
-            # Nothing of the window is in sight any more: go on from where the rig was lost.
-            self._begin_window(frame)
+        if len(frame.views) == 2:
+            if result.status is TrackingStatus.LOST:
+                # Nothing of the window was found for long: go on from where the rig was lost.
+                self._state.prior.forget()
+                self._begin_window(frame)
+            elif self._is_out_of_sight(window):
+                # Nothing of the window can be found any more: go on from the prediction.
+                self._begin_window(frame)
         return result
+
+    def _look_with_one_eye(
+        self, window: KeyframeWindow, frame: RigFrame, pyramids: Pyramids
+    ) -> tuple[Tracked | None, RigFrame]:
+        """Something may cover one lens unnoticed: the frame then counts as one of the other eye."""
+        T_predicted = inverse(self._state.predicted())
+        for role, alone in ((LEFT, (pyramids[0], None)), (RIGHT, (None, pyramids[1]))):
+            tracked = self._look(window, alone, T_predicted)
+            if tracked is not None:
+                return tracked, replace(frame, views={role: frame.views[role]})
+        return None, frame
+
+    def _is_worse_than_guessed(self, tracked: Tracked) -> bool:
+        """Whether the motion since the last measurement is better foretold than measured.
+
+        With one eye, once most points have left the picture, the rest leave the position open.
+        """
+        foretold = self._last_covariance + self._state.foretold_covariance()
+        measured = tracked.pose.covariance
+        return bool(np.trace(measured[:3, :3]) > np.trace(foretold[:3, :3]))
+
+    def _is_out_of_sight(self, window: KeyframeWindow) -> bool:
+        """Whether the window has no more for a sound pose at the predicted one."""
+        in_sight = window.count_in_sight(inverse(self._state.pose.T_world_rig))
+        return in_sight < self._status_config.degraded_inliers
 
     def _look(
         self, window: KeyframeWindow, pyramids: Pyramids, T_start: NDArray[np.float64]
@@ -222,12 +272,15 @@ class WindowedOdometry:
             rms_px=float(np.sqrt(np.nanmean(tracked.pose.residuals**2))),
             epipolar_dy_px=tracked.epipolar_dy_px(),
             right_turn_mrad=self._extrinsics.turn_mrad,
+            zero_flow=tracked.zero_flow(window),
             keyframe=is_keyframe,
         )
         T_now_before = inverse(pose.T_world_rig) @ self._last_measured.T_world_rig
         elapsed_s = (frame.stamp_ns - self._last_measured_ns) * 1e-9
         result = self._state.measured(pose, T_now_before, covariance, elapsed_s, stats)
         self._last_measured, self._last_measured_ns = pose, frame.stamp_ns
+        self._last_covariance = tracked.pose.covariance
+        self._last_view = _LastView(frame, pyramids, tracked) if both_eyes else None
         if is_keyframe:
             if tracked.count < self._status_config.degraded_inliers:
                 # A thread of few points would let the adjustment swing old against new: what is
@@ -262,6 +315,7 @@ class WindowedOdometry:
     ) -> None:
         """Take the frame into the window, give it new points, start the bundle adjustment."""
         config = self._config
+        self._last_view = None
         left, right = pyramids
         assert left is not None
         assert right is not None
@@ -300,6 +354,19 @@ class WindowedOdometry:
                 iterations=config.keyframes.bundle_iterations,
             )
 
+    def _keep_last_view(self, window: KeyframeWindow) -> None:
+        """Make a keyframe of the last good frame, as an eye is blind now.
+
+        Nothing nearer to what the eyes will see after the gap is to be had.
+        """
+        last = self._last_view
+        self._last_view = None
+        if last is None or last.tracked.count >= STILL_ALIKE * self._keyframe_count:
+            return
+        with self._timer.stage("keyframe"):
+            self._add_keyframe(window, last.frame, last.pyramids, last.tracked)
+        self._finish_bundle(window)
+
     def _finish_bundle(self, window: KeyframeWindow) -> None:
         """Wait for the adjustment that the last frame started, and take it over.
 
@@ -332,9 +399,9 @@ class WindowedOdometry:
         if self._window is None:
             return self._state.unmeasured(TrackStats(), "too few points with a depth to start from")
         points = len(self._window.points())
-        if self._state.is_lost:
-            return self._state.unmeasured(TrackStats(features=points), "starting again")
-        return self._state.started(TrackStats(features=points, keyframe=True))
+        if self._state.status is TrackingStatus.INITIALISING:
+            return self._state.started(TrackStats(features=points, keyframe=True))
+        return self._state.unmeasured(TrackStats(features=points), "starting again")
 
     def _begin_window(self, frame: RigFrame) -> None:
         """Begin a new window with this frame, at the pose of the state."""
@@ -343,7 +410,6 @@ class WindowedOdometry:
         capacity = 4 * self._config.corners.points
         window = KeyframeWindow(self._room, capacity, left.image.shape, camera)
         window.right_turn_rad = self._extrinsics.turn_rad
-        self._state.prior.forget()
         self._last_measured, self._last_measured_ns = self._state.pose, frame.stamp_ns
         self._add_keyframe(window, frame, self._pyramids(frame), None)
         enough = len(window.points()) >= self._config.tracking.min_inliers
