@@ -143,6 +143,7 @@ def _camera_values(camera: CameraStatus) -> Iterator[tuple[str, object]]:
     link, control = camera.link, camera.control
     yield "state", link.state.value
     yield "reason", link.reason
+    yield "last_failure", link.last_failure
     yield "rate_hz", f"{link.rate_hz:.2f}"
     yield from asdict(link.counters).items()
     if link.format is not None:

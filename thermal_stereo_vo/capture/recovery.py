@@ -83,7 +83,10 @@ class LinkCounters:
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """One camera's link at this moment.  ``reason`` tells the last failure while not streaming."""
+    """One camera's link at this moment.
+
+    ``reason`` tells why it is not streaming, ``last_failure`` why it was opened anew the last time.
+    """
 
     camera: str
     state: LinkState
@@ -92,6 +95,7 @@ class LinkStatus:
     format: StreamFormat | None = None
     stamp_kind: StampKind | None = None
     rate_hz: float = 0.0
+    last_failure: str = ""
 
 
 @dataclass
@@ -139,7 +143,7 @@ class CameraLink:
         self._rate = Rate()
         self._state = LinkState.CLOSED
         self._settling = 0
-        self._reason = ""
+        self._reason = self._last_failure = ""
         self._format: StreamFormat | None = None
         self._stop = threading.Event()
         self._reconnect = threading.Event()
@@ -190,6 +194,7 @@ class CameraLink:
             format=self._format,
             stamp_kind=self._stamps.kind,
             rate_hz=self._rate.hz(time.monotonic_ns()) if self.streaming else 0.0,
+            last_failure=self._last_failure,
         )
 
     def _run(self) -> None:
@@ -210,6 +215,7 @@ class CameraLink:
                 break
             if self._reconnect.is_set():
                 continue
+            self._last_failure = self._reason
             self._counters.failures += 1
             self._state = LinkState.WAITING
             if self._counters.frames > frames_before:

@@ -168,6 +168,7 @@ def test_a_stream_that_dies_is_opened_anew(connect, left, eventually, fault, rea
     for name, value in fault.items():
         setattr(left.control, name, value)
     eventually(lambda: reason in link.status().reason, link.status)
+    eventually(lambda: reason in link.status().last_failure, link.status)
     for name in fault:
         setattr(left.control, name, 0)
     eventually(lambda: link.status().state is LinkState.STREAMING, link.status)
