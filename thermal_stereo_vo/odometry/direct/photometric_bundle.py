@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from thermal_stereo_vo.core.kernels import solve_positive
 from thermal_stereo_vo.core.transforms import exp_se3
 from thermal_stereo_vo.odometry.direct.frame_alignment import invert
 from thermal_stereo_vo.odometry.direct.photometric import (
@@ -120,12 +121,11 @@ def adjust_photometrically(
         damped = now.A.copy()
         damped[np.diag_indices_from(damped)] += damping * np.diag(now.A) + 1e-6
         damped[is_brightness, is_brightness] += _BRIGHTNESS_DAMPING
-        try:
-            factor = np.linalg.solve(damped[np.ix_(free, free)], now.g[free])
-        except np.linalg.LinAlgError:
+        moves = np.zeros(np.count_nonzero(free))
+        if not solve_positive(damped[np.ix_(free, free)], now.g[free], moves):
             return None
         step = np.zeros(len(free))
-        step[free] = factor
+        step[free] = moves
         T_new, brightness_new, rhos_new = _moved(T, brightness, rhos, now, step)
         _linearise(problem, T_new, brightness_new, rhos_new, huber, gate, then)
         if then.cost < now.cost:
