@@ -12,12 +12,14 @@ Points = NDArray[np.float64]
 
 SPACING_M = 0.08
 NEIGHBOURS = 6
+LARGE_M2 = 30.0
 
 
 class TrueSurface:
     """The triangles of a mesh near a path, searched by samples on them.
 
     ``path_m`` (N, 3) in map coordinates; triangles farther from it than ``reach_m`` are left out.
+    The few that are larger than ``LARGE_M2`` are all tried.
     """
 
     def __init__(
@@ -28,19 +30,24 @@ class TrueSurface:
         near = np.all((vertices.max(axis=1) >= low) & (vertices.min(axis=1) <= high), axis=1)
         self._vertices = vertices[near]
         self._material = mesh.material[near]
-        samples, self._owner = _sampled(self._vertices, low, high, rng)
+        large = _area(self._vertices) > LARGE_M2
+        self._large = np.nonzero(large)[0]
+        small = np.nonzero(~large)[0]
+        samples, owner = _sampled(self._vertices[small], rng)
+        self._owner = small[owner]
         self._tree = cKDTree(samples)
 
     def nearest(self, points_m: Points) -> tuple[Points, NDArray[np.int32]]:
         """Distances (N,) in m of (N, 3) points to the surface, and the materials (N,) there."""
         _, found = self._tree.query(points_m, k=NEIGHBOURS)
-        owners = self._owner[found]
-        distance = np.full(owners.shape, np.inf)
-        for k in range(NEIGHBOURS):
-            distance[:, k] = triangle_distance(points_m, self._vertices[owners[:, k]])
-        best = np.argmin(distance, axis=1)
-        rows = np.arange(len(points_m))
-        return distance[rows, best], self._material[owners[rows, best]]
+        best = np.full(len(points_m), np.inf)
+        whose = np.zeros(len(points_m), np.intp)
+        candidates = [*self._owner[found].T, *(np.full(len(points_m), n) for n in self._large)]
+        for owner in candidates:
+            distance = triangle_distance(points_m, self._vertices[owner])
+            nearer = distance < best
+            best[nearer], whose[nearer] = distance[nearer], owner[nearer]
+        return best, self._material[whose]
 
 
 def triangle_distance(points: Points, triangles: Points) -> Points:
@@ -63,16 +70,17 @@ def triangle_distance(points: Points, triangles: Points) -> Points:
     return np.where(inside, np.abs(height), edges)
 
 
-def _sampled(
-    vertices: Points, low: Points, high: Points, rng: np.random.Generator
-) -> tuple[Points, NDArray[np.intp]]:
-    """Points spread over the triangles within a box, and whose they are."""
+def _area(vertices: Points) -> Points:
     a, b, c = (vertices[:, k] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    owner = np.repeat(np.arange(len(vertices)), np.ceil(area / SPACING_M**2).astype(np.intp))
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def _sampled(vertices: Points, rng: np.random.Generator) -> tuple[Points, NDArray[np.intp]]:
+    """Points spread over the triangles, and whose they are."""
+    a, b, c = (vertices[:, k] for k in range(3))
+    counts = np.ceil(_area(vertices) / SPACING_M**2).astype(np.intp)
+    owner = np.repeat(np.arange(len(vertices)), counts)
     u, v = rng.random((2, len(owner)))
     folded = u + v > 1.0
     u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
-    points = a[owner] + u[:, None] * (b - a)[owner] + v[:, None] * (c - a)[owner]
-    kept = np.all((points >= low) & (points <= high), axis=1)
-    return points[kept], owner[kept]
+    return a[owner] + u[:, None] * (b - a)[owner] + v[:, None] * (c - a)[owner], owner

@@ -20,6 +20,8 @@ MEASUREMENTS = {
     "shutterless": "odometry while the cores warm up without a shutter",
     "dense": "dense stereo by day and night beside plain OpenCV",
     "extrinsics": "simulated flights with an error in the yaw between the eyes",
+    "reconstruction": "a model of a simulated street against its true surface and temperature",
+    "painting": "temperatures on the cloud of a visible camera",
     "enhancement": "odometry on 8-bit views made in several ways",
 }
 """WHAT -> sentence.  The module ``benchmark_WHAT`` has ``add_WHAT_arguments`` and ``run_WHAT``."""

@@ -19,6 +19,7 @@ VERBS = {
         "reconstruct",
         "make a model, with temperatures, of what was seen",
     ),
+    "paint": ("paint", "paint a cloud with the temperatures that another camera sees"),
     "evaluate": ("evaluate", "compare a trajectory with the truth"),
     "simulate": ("simulate", "fly a simulated rig and write a ROS 2 bag"),
     "import-dataset": ("import_dataset", "turn any recording into a ROS 2 bag"),

@@ -33,6 +33,10 @@ class ModelConfig:
     max_range_m: float = setting(
         15.0, "Farther points of a keyframe are left out.", unit="m", minimum=0.5, maximum=1000.0
     )
+    point_step: int = setting(
+        2, "Every so many pixels and rows of a keyframe a point; neighbours err alike.", unit="px",
+        minimum=1, maximum=32,
+    )  # fmt: skip
     volume: VolumeConfig = group(VolumeConfig, "How clouds become one model.")
 
 
@@ -74,8 +78,9 @@ class Reconstructor(Observer):
         self.keyframes += 1
         if self.sample is None or disparities.density > self.sample.density:
             self.sample = disparities
-        cloud = camera_cloud(disparities, self._kelvin, max_range_m=self._config.max_range_m)
-        rows, columns, depth_m = points_of(disparities, max_range_m=self._config.max_range_m)
+        range_m, step = self._config.max_range_m, self._config.point_step
+        cloud = camera_cloud(disparities, self._kelvin, max_range_m=range_m, step=step)
+        rows, columns, depth_m = points_of(disparities, max_range_m=range_m, step=step)
         # Z = f B / d: an error of the disparity grows with the square of the distance.
         focal_baseline = disparities.camera.fx * disparities.baseline_m
         sigma_m = disparities.sigma_px[rows, columns] * depth_m**2 / focal_baseline

@@ -23,7 +23,7 @@ from thermal_stereo_vo.simulation.ray_casting import RayCaster
 from thermal_stereo_vo.simulation.render import Lens, Poses, Renderer, Rendering
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.shading import Band, thermal_band, visible_band
-from thermal_stereo_vo.simulation.thermal_field import Responsivity
+from thermal_stereo_vo.simulation.thermal_field import Column, Responsivity
 from thermal_stereo_vo.simulation.visible_camera import VisibleCamera
 
 _LATTICE_SEED = 77
@@ -47,8 +47,8 @@ class Studio:
         static = RayCaster(scene.static.vertices)
         self._renderer = Renderer(scene, light_scene(scene, plan.weather, static), static)
         lattice = random_lattice(np.random.default_rng(_LATTICE_SEED))
-        responsivity = Responsivity(config.thermal.counts_per_kelvin)
-        self._thermal = thermal_band(plan.weather, responsivity, lattice)
+        self._responsivity = Responsivity(config.thermal.counts_per_kelvin)
+        self._thermal = thermal_band(plan.weather, self._responsivity, lattice)
         # Pictures of the visible band are kept relative to the light there is.
         self._visible = visible_band(replace(plan.weather, illumination=1.0), lattice)
         self._lenses = {
@@ -70,6 +70,16 @@ class Studio:
     def thermal_view(self, lens: Lens, poses: Poses, time_s: float) -> Rendering:
         """The sharp thermal picture, with its depths, through a lens that is not of the rig."""
         return self._renderer.render(lens, self._thermal, poses, time_s)
+
+    def temperatures(
+        self, lens: Lens, poses: Poses, time_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """(H, W) true temperatures (K) of the surfaces and (H, W) depths (m), inf in the sky."""
+        table = self._thermal.table.copy()
+        table[:, Column.EMISSIVITY] = 1.0
+        black = self._thermal._replace(table=table, extinction_per_m=0.0)
+        seen = self._renderer.render(lens, black, poses, time_s)
+        return self._responsivity.kelvin(np.maximum(seen.radiance, 1e-3)), seen.depth_m
 
     def picture(self, role: str, time_s: float) -> Picture:
         """What the sensor takes in at one time, smeared by lag or exposure."""
