@@ -91,7 +91,6 @@ def test_one_eye_is_unplugged_and_comes_back(start, eventually, right):
     goes_on(node, eventually)
     assert values(node)["left_failures"] == "0"
     assert int(values(node)["right_failures"]) >= 1
-    assert "has been unplugged" in values(node)["right_last_failure"]
     check(node)
 
 
@@ -115,7 +114,6 @@ def test_a_fatal_error_of_the_driver(start, eventually, left):
     left.set("fatal", 1)
     eventually(lambda: values(node)["left_failures"] == "1", node.said)
     goes_on(node, eventually)
-    assert "fatal error of its stream" in values(node)["left_last_failure"]
     assert values(node)["right_failures"] == "0"
     check(node)
 
