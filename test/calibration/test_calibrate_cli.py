@@ -14,7 +14,9 @@ from thermal_stereo_vo.core.calibration_yaml import parse_camera_info, read_text
 from thermal_stereo_vo.core.cameras import RigCalibration, RigCamera
 from thermal_stereo_vo.core.frames import RadiometricFrame
 from thermal_stereo_vo.core.transforms import exp_so3, inverse, make_transform
+from thermal_stereo_vo.nodes.calibration_urls import read_calibrations
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifier
+from thermal_stereo_vo.stereo_capture import StereoCaptureConfig
 
 BOARD = "chessboard:7x5:0.04"
 T_RIGHT_LEFT = make_transform(exp_so3([-0.014, -0.012, 0.004]), [-0.06, 0.0004, 0.0006])
@@ -62,6 +64,11 @@ def test_files_are_what_ros_and_the_rectifier_read(calibrated, pictures):
     info = parse_camera_info(read_text(calibrated / "right.yaml"), calibrated / "right.yaml")
     assert info.distortion_model == "plumb_bob"
     assert info.p[3] == pytest.approx(-info.p[0] * 0.06, rel=5e-3)
+    urls = [f"file://{calibrated}/{eye}.yaml" for eye in ("left", "right")]
+    told = read_calibrations(
+        StereoCaptureConfig(left_calibration=urls[0], right_calibration=urls[1])
+    )
+    assert told["right"].p == info.p
     by_pair = load_calibration(calibrated / "left.yaml")
     rectifier = Rectifier(by_pair, RectificationConfig())
     rows = {}

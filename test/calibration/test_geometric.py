@@ -132,6 +132,11 @@ def test_views_beyond_the_limit_test_the_others(shots):
     assert result.pair.held_out.views <= len(shots) - 12
 
 
+def test_limit_below_what_a_calibration_needs():
+    with pytest.raises(CalibrationError, match=r"2 views are too few.*at least 5"):
+        Settings(view_limit=2)
+
+
 def test_known_lens_stays_within_its_uncertainty(rng):
     """Few, flat views cannot move a lens that was calibrated well before."""
     shots, _ = made_up_shots(TARGET, 6, rng, tilt_deg=3.0, noise_px=0.1)

@@ -12,6 +12,8 @@ from thermal_stereo_vo.calibration.image_sources import (
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.frames import RawFrame
 
+from ..datasets.bags import bag_path, scribe
+
 
 def write(folder, names, value=100):
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,6 +55,8 @@ def test_many_images_are_thinned_evenly(tmp_path):
 
 
 def test_refusals(tmp_path):
+    with pytest.raises(DatasetError, match="at least 1, got 0"):
+        Source((str(tmp_path),), limit=0)
     write(tmp_path / "left", ["1.png"])
     with pytest.raises(DatasetError, match=r"images of one camera only: .*right is missing"):
         image_shots(Source((str(tmp_path),)), ("left", "right"))
@@ -92,6 +96,29 @@ def test_as_many_stretches_as_asked_for(rng, count, parts, sizes):
     assert len(stretches) == min(count, parts)
     assert {len(stretch) for stretch in stretches} == sizes
     assert sum(len(stretch) for stretch in stretches) == count
+
+
+def test_bags_of_cameras_of_different_size(tmp_path, rng):
+    """Visible and thermal, topics named or guessed; what is written is what comes out."""
+    path = bag_path("mcap", tmp_path / "boards")
+    small = rng.integers(3000, 3100, (3, 12, 16)).astype(np.uint16)
+    large = rng.integers(0, 255, (3, 24, 32)).astype(np.uint8)
+    with scribe("mcap", tmp_path / "boards") as bag:
+        for k in range(3):
+            bag.image("/thermal/image_raw", 10**8 * (k + 1), small[k])
+            bag.image("/visible/image_raw", 10**8 * (k + 1) + 10**6, large[k])
+    roles = ("visible", "thermal")
+    named = ("/visible/image_raw", "/thermal/image_raw")
+    for topics in ((), named):
+        shots = image_shots(Source((str(path),), topics), roles)
+        assert [sorted(shot.load) for shot in shots] == [["thermal", "visible"]] * 3
+        for k, shot in enumerate(shots):
+            np.testing.assert_array_equal(shot.load["thermal"](), small[k])
+            np.testing.assert_array_equal(shot.load["visible"](), large[k])
+    with pytest.raises(DatasetError, match=r"no image topic '/left'.*correct --topics"):
+        image_shots(Source((str(path),), ("/left", named[1])), roles)
+    with pytest.raises(DatasetError, match=r"several image topics.*choose one with --topics"):
+        image_shots(Source((str(path),)), ("camera",))
 
 
 def test_only_simulated_sources_know_the_truth(tmp_path):

@@ -67,7 +67,7 @@ def test_refusals(rng):
 
 
 def test_reports_that_are_none(tmp_path):
-    with pytest.raises(CalibrationError, match="is no report of a stereo calibration"):
+    with pytest.raises(CalibrationError, match="give a folder that 'calibrate stereo' wrote"):
         load_pair(tmp_path)
     (tmp_path / "report.json").write_text('{"cameras": {}}')
     with pytest.raises(CalibrationError, match="is no report of a stereo calibration"):

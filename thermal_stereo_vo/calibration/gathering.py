@@ -15,7 +15,7 @@ from thermal_stereo_vo.calibration.image_sources import ImageShot
 from thermal_stereo_vo.calibration.overlays import overlay
 from thermal_stereo_vo.calibration.result import ViewRecord
 from thermal_stereo_vo.calibration.targets import Target
-from thermal_stereo_vo.calibration.views import BoardShot, Detection
+from thermal_stereo_vo.calibration.views import BoardShot, Detection, camera_called
 from thermal_stereo_vo.core.errors import CalibrationError
 
 Size = tuple[int, int]
@@ -79,7 +79,7 @@ def gather(
             for role, size in seen_sizes.items():
                 if sizes.setdefault(role, size) != size:
                     raise CalibrationError(
-                        f"image {shot.name} of the {role} camera is {size[0]}x{size[1]} pixels, "
+                        f"image {shot.name} of {camera_called(role)} is {size[0]}x{size[1]} px, "
                         f"the ones before {sizes[role][0]}x{sizes[role][1]}: all images of a "
                         "camera must have one size"
                     )
@@ -107,12 +107,12 @@ def gather(
 
 def _check_found(gathered: Gathered, role: str, target: Target) -> None:
     if gathered.seen(role) == 0:
-        raise CalibrationError(f"there are no images of the {role} camera")
+        raise CalibrationError(f"there are no images of {camera_called(role)}")
     if gathered.found(role):
         return
     reasons = [d.reason for (_, r), d in gathered.detections.items() if r == role]
     commonest = max(set(reasons), key=reasons.count)
     raise CalibrationError(
-        f"0 of {len(reasons)} images of the {role} camera show the board {target}; most "
+        f"0 of {len(reasons)} images of {camera_called(role)} show the board {target}; most "
         f"often: {commonest}"
     )

@@ -27,6 +27,7 @@ from thermal_stereo_vo.calibration.figures import (
     stereo_errors,
 )
 from thermal_stereo_vo.calibration.guards import (
+    MIN_VIEWS,
     check_distinct,
     check_enough,
     spread_warnings,
@@ -61,7 +62,7 @@ from thermal_stereo_vo.calibration.view_selection import (
     jackknife_covariance,
     select_views,
 )
-from thermal_stereo_vo.calibration.views import BoardShot, BoardView
+from thermal_stereo_vo.calibration.views import BoardShot, BoardView, camera_called
 from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.core.transforms import inverse, transform_points
@@ -93,11 +94,20 @@ class Settings:
     centre.  ``view_limit`` views at most take part, the rest tests.
     ``known`` brings lenses calibrated before (role -> lens), which then only move within their own
     uncertainty.
+
+    Raises CalibrationError for a ``view_limit`` below five.
     """
 
     lens: Lens | None = None
     view_limit: int = 40
     known: Mapping[str, KnownLens] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.view_limit < MIN_VIEWS:
+            raise CalibrationError(
+                f"{self.view_limit} views are too few to calibrate with: --max-views must be at "
+                f"least {MIN_VIEWS}"
+            )
 
 
 @dataclass
@@ -327,7 +337,7 @@ def _without_outliers(problem: _Problem, rig: Rig, undecided: Sequence[str]) -> 
                     continue
                 break
             reason = (
-                f"{rms[worst]:.2f} px off in the {role} camera where others are "
+                f"{rms[worst]:.2f} px off in {camera_called(role)} where others are "
                 f"{np.median(list(rms.values())):.2f}: blurred, bent or misread"
             )
             rig = _refuse(problem, rig, worst, role, reason)

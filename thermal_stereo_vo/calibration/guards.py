@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.calibration.views import BoardView
+from thermal_stereo_vo.calibration.views import BoardView, camera_called
 from thermal_stereo_vo.core.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ def check_distinct(views: Sequence[BoardView], role: str, size: tuple[int, int])
     distinct = count_distinct(views, _ALIKE_FRACTION * size[0])
     if distinct < MIN_VIEWS:
         raise CalibrationError(
-            f"the {len(views)} views of the {role} camera are all alike ({distinct} differ by more "
-            f"than {_ALIKE_FRACTION * size[0]:.0f} px): move and tilt the board between views"
+            f"the {len(views)} views of {camera_called(role)} are all alike (more than "
+            f"{_ALIKE_FRACTION * size[0]:.0f} px apart: {distinct}): move and tilt the board"
         )
 
 
@@ -91,9 +91,9 @@ def uncertainty_warnings(camera: CameraResult, role: str) -> list[str]:
     relative = float(camera.sigma[0] / camera.camera.fx)
     if relative > _FOCAL_REFUSAL:
         raise CalibrationError(
-            f"the views do not determine the {role} camera: focal length {camera.camera.fx:.0f} "
-            f"+- {camera.sigma[0]:.0f} px; tilt the board by 20 to 45 deg in different directions "
-            "and show it in all parts of the image"
+            f"the views do not determine {camera_called(role)}: focal length "
+            f"{camera.camera.fx:.0f} +- {camera.sigma[0]:.0f} px; tilt the board by 20 to 45 "
+            "deg in different directions and show it in all parts of the image"
         )
     if relative > _FOCAL_WARNING:
         return [

@@ -41,6 +41,8 @@ class Source:
     ``topics`` names an image topic a role.  ``limit`` shots at most are taken; ``tolerance_ms`` is
     the largest stamp difference of a pair from a recording.  ``seed`` and ``settings``
     (``key=value``) shape a simulated run.
+
+    Raises DatasetError for a ``limit`` below one.
     """
 
     paths: tuple[str, ...]
@@ -49,6 +51,10 @@ class Source:
     tolerance_ms: float = 10.0
     seed: int = 0
     settings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.limit < 1:
+            raise DatasetError(f"--max-images must be at least 1, got {self.limit}")
 
 
 def image_shots(source: Source, roles: Sequence[str]) -> list[ImageShot]:
@@ -217,7 +223,13 @@ def _open_bag(
             )
         chosen = {roles[0]: named[0]}
     else:
-        found, _ = choose_image_topics(list(counts))
+        try:
+            found, _ = choose_image_topics(list(counts))
+        except DatasetError:
+            raise DatasetError(
+                f"the bag {path} has no two image topics that look like a pair (image topics "
+                f"there: {', '.join(sorted(counts))}): name them with --topics"
+            ) from None
         chosen = dict(zip(roles, found.values(), strict=True))
     for role, topic in chosen.items():
         if topic not in counts:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.calibration.lenses import Lens
 from thermal_stereo_vo.calibration.targets import Target, TargetKind
-from thermal_stereo_vo.calibration.views import BoardView
+from thermal_stereo_vo.calibration.views import BoardView, camera_called
 from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.core.transforms import inverse, log_so3, make_transform
@@ -58,15 +58,15 @@ def initial_lens(
             trouble = error.err.strip()
     if not found:
         raise CalibrationError(
-            f"the views of the {role} camera do not determine a camera ({trouble}): tilt the board "
-            "in different directions"
+            f"the views of {camera_called(role)} do not determine a camera ({trouble}): tilt the "
+            "board in different directions"
         )
     sane = [f for f in found if _is_sane(f[1], width)]
     _, matrix, coefficients = min(sane or found, key=lambda f: f[0])
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     if not sane:
         raise CalibrationError(
-            f"the views of the {role} camera do not determine its focal length (OpenCV says "
+            f"the views of {camera_called(role)} do not determine its focal length (OpenCV says "
             f"{fx:.0f} x {fy:.0f} px): tilt the board by 20 to 45 degrees in different directions"
         )
     vector = np.zeros(len(lens.names))

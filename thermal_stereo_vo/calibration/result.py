@@ -202,6 +202,8 @@ def load_pair(path: Path) -> StoredPair:
     """
     if path.is_dir():
         path = path / "report.json"
+    if not path.is_file():
+        raise CalibrationError(f"there is no {path}: give a folder that 'calibrate stereo' wrote")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         pair = document["pair"]

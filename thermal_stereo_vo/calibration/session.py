@@ -31,6 +31,7 @@ from thermal_stereo_vo.calibration.lenses import Lens
 from thermal_stereo_vo.calibration.report import figure_lines, html_report
 from thermal_stereo_vo.calibration.result import CalibrationResult
 from thermal_stereo_vo.calibration.targets import Target
+from thermal_stereo_vo.calibration.views import camera_called
 from thermal_stereo_vo.core.calibration_files import load_calibration, save_calibration
 from thermal_stereo_vo.core.calibration_yaml import dump_camera_info
 from thermal_stereo_vo.core.camera_info import infos_from_calibration
@@ -147,7 +148,7 @@ def verify_and_tell(
     for role in roles:
         if gathered.sizes[role] != calibration[role].camera.size:
             raise CalibrationError(
-                f"the images of the {role} camera are {gathered.sizes[role]} pixels, the "
+                f"the images of {camera_called(role)} are {gathered.sizes[role]} pixels, the "
                 f"calibration is for {calibration[role].camera.size}"
             )
     views = _same_ends(gathered, calibration, roles, target)
@@ -173,6 +174,8 @@ def _known_lenses(request: Request) -> dict[str, KnownLens]:
     known: dict[str, KnownLens] = {}
     for k, path in enumerate(request.lens_from):
         file = path / REPORT_FILE if path.is_dir() else path
+        if not file.is_file():
+            raise CalibrationError(f"there is no {file}: give a folder that 'calibrate' wrote")
         try:
             cameras = json.loads(file.read_text(encoding="utf-8"))["cameras"]
             for role, camera in cameras.items():

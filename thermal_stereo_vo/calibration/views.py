@@ -58,3 +58,12 @@ class BoardShot:
 
     name: str
     views: Mapping[str, BoardView]
+
+
+def camera_called(role: str) -> str:
+    """How sentences call a camera.
+
+    >>> camera_called("left"), camera_called("camera")
+    ('the left camera', 'the camera')
+    """
+    return "the camera" if role == "camera" else f"the {role} camera"
