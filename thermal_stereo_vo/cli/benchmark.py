@@ -21,6 +21,7 @@ MEASUREMENTS = {
     "dense": "dense stereo by day and night beside plain OpenCV",
     "extrinsics": "simulated flights with an error in the yaw between the eyes",
     "reconstruction": "a model of a simulated street against its true surface and temperature",
+    "plane": "dense points on the boards of a real thermal pair",
     "painting": "temperatures on the cloud of a visible camera",
     "enhancement": "odometry on 8-bit views made in several ways",
 }
