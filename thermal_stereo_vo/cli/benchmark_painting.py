@@ -41,5 +41,6 @@ def run_painting(args: argparse.Namespace) -> int:
             label="temperature (degC)",
             eye_m=np.array([-0.6, -0.9, 0.6]),
             target_m=np.median(xyz, axis=0),
+            point_m=0.02,
         )
     return 0

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from thermal_stereo_vo.core.trajectory import Trajectory
     from thermal_stereo_vo.reconstruction.reconstructor import Reconstructor
     from thermal_stereo_vo.reconstruction.volume import SurfaceModel
 
@@ -77,7 +76,15 @@ def run(args: argparse.Namespace) -> int:
         folder.write_json("model.json", figures)
         _write_clouds(folder.path, model)
         if not args.no_plot:
-            _draw(folder.path, reconstructor, model, files.trajectory, T_base_rig, dataset.name)
+            _draw(
+                folder.path,
+                reconstructor,
+                model,
+                files.trajectory,
+                T_base_rig,
+                dataset.name,
+                config.model.volume.voxel_m,
+            )
         folder.write_json(
             "run.json",
             run_record(
@@ -129,34 +136,30 @@ def _write_clouds(folder: Path, model: SurfaceModel) -> None:
 
 
 def _draw(
-    folder: Path,
-    reconstructor: Reconstructor,
-    model: SurfaceModel,
-    trajectory: Trajectory,
-    T_base_rig: NDArray[np.float64],
-    name: str,
+    folder: Path, model: SurfaceModel, way_m: NDArray[np.float64], name: str, voxel_m: float
 ) -> None:
+    """From above, and from behind and above where the run began."""
     import numpy as np
 
-    from thermal_stereo_vo.core.transforms import transform_points
-    from thermal_stereo_vo.outputs.cloud_pictures import disparity_picture, oblique_view, top_view
+    from thermal_stereo_vo.outputs.cloud_pictures import oblique_view, top_view
 
     values, label = _shown(model)
-    way = transform_points(T_base_rig, trajectory.positions_m)
-    top_view(folder / "top.png", model.cloud.xyz, values, way, label=label, title=name)
-    ahead = way[-1] - way[0] if len(way) > 1 else T_base_rig[:3, 2]
+    xyz = model.cloud.xyz
+    top_view(folder / "top.png", xyz, values, way_m, label=label, title=name, point_m=voxel_m)
+    start_m = way_m[0] if len(way_m) else np.zeros(3)
+    ahead = way_m[-1] - start_m if len(way_m) else np.zeros(3)
     length_m = float(np.linalg.norm(ahead))
-    ahead = ahead / length_m if length_m > 1.0 else T_base_rig[:3, 2]
-    start = way[0] if len(way) else T_base_rig[:3, 3]
-    eye_m = start - 8.0 * ahead + [0.0, 0.0, 9.0]
-    target_m = start + 15.0 * ahead - [0.0, 0.0, 1.0]
+    ahead = ahead / length_m if length_m > 1.0 else np.array([1.0, 0.0, 0.0])
     oblique_view(
-        folder / "oblique.png", model.cloud.xyz, values, label=label, title=name, eye_m=eye_m,
-        target_m=target_m,
-    )  # fmt: skip
-    if reconstructor.sample is not None:
-        sample = reconstructor.sample
-        disparity_picture(folder / "disparity.png", sample.disparity_px, sample.counts)
+        folder / "oblique.png",
+        xyz,
+        values,
+        label=label,
+        title=name,
+        eye_m=start_m - 8.0 * ahead + [0.0, 0.0, 9.0],
+        target_m=start_m + 15.0 * ahead - [0.0, 0.0, 1.0],
+        point_m=voxel_m,
+    )
 
 
 def _shown(model: SurfaceModel) -> tuple[NDArray[np.float32], str]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 DPI = 130
 _EMPTY = np.nan
 _PALETTE = "inferno"
-_LARGEST_SPLAT_PX = 4
+_LARGEST_SPLAT_PX = 8
 
 
 def colours_of(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -47,16 +47,18 @@ def top_view(
     *,
     label: str,
     title: str = "",
+    point_m: float = 0.1,
 ) -> None:
     """Draw points (N, 3), z up, from above; the highest one covers those below it.
 
-    ``values`` (N,) become colours; ``way`` (M, 3) is the path that was flown.
+    ``values`` (N,) become colours; ``way`` (M, 3) is the path that was flown; ``point_m`` how far
+    points are apart.
     """
     figure, axes = _figure((8.0, 6.5))
     if len(xyz):
         low = np.minimum(xyz.min(axis=0), way.min(axis=0) if len(way) else np.inf)[:2]
         high = np.maximum(xyz.max(axis=0), way.max(axis=0) if len(way) else -np.inf)[:2]
-        pixel_m = max(float((high - low).max()) / 900.0, 0.02)
+        pixel_m = max(float((high - low).max()) / 900.0, point_m)
         shape = tuple(int(n) + 1 for n in ((high - low) / pixel_m)[::-1])
         columns, rows = (((xyz[:, k] - low[k]) / pixel_m).astype(np.intp) for k in (0, 1))
         image = _nearest(shape, rows, columns, -xyz[:, 2], values)
@@ -77,6 +79,7 @@ def oblique_view(
     title: str = "",
     eye_m: NDArray[np.floating],
     target_m: NDArray[np.floating],
+    point_m: float = 0.1,
 ) -> None:
     """Draw points (N, 3), z up, as a camera at ``eye_m`` sees them that looks at ``target_m``."""
     width, height, focal_px = 1100, 700, 800.0
@@ -89,7 +92,7 @@ def oblique_view(
     depth_m = seen[front, 2]
     columns = np.rint(width / 2 + focal_px * seen[front, 0] / depth_m).astype(np.intp)
     rows = np.rint(height / 2 + focal_px * seen[front, 1] / depth_m).astype(np.intp)
-    size_px = np.clip(np.rint(0.12 * focal_px / depth_m), 1, _LARGEST_SPLAT_PX)
+    size_px = np.clip(np.rint(1.4 * point_m * focal_px / depth_m), 1, _LARGEST_SPLAT_PX)
     image = _splatted((height, width), rows, columns, depth_m, values[front], size_px)
     figure, axes = _figure((10.0, 6.0))
     _show(figure, axes, image, label, shown_range(values))
@@ -107,8 +110,10 @@ def disparity_picture(
     """Draw a map (H, W; NaN is black) with a colour bar beside the image it is of."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    height, width = disparity_px.shape
+    wide = width > 2 * height
+    figure = Figure(figsize=(9.0, 6.0) if wide else (11.0, 4.2), layout="constrained")
+    left, right = figure.subplots(2, 1) if wide else figure.subplots(1, 2)
     low, high = shown_range(counts.astype(np.float64).ravel())
     left.imshow(counts, cmap="gray", vmin=low, vmax=high)
     left.set(xticks=[], yticks=[], title="left image")
