@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
     """Replay, fuse, write DIR."""
     from thermal_stereo_vo.core.cameras import default_T_base_rig
     from thermal_stereo_vo.core.errors import DatasetError
+    from thermal_stereo_vo.core.transforms import transform_points
     from thermal_stereo_vo.datasets.registry import open_dataset, require_calibration
+    from thermal_stereo_vo.outputs.cloud_pictures import disparity_picture
     from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
     from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
     from thermal_stereo_vo.radiometry.thermometer import Thermometer
@@ -76,15 +78,12 @@ def run(args: argparse.Namespace) -> int:
         folder.write_json("model.json", figures)
         _write_clouds(folder.path, model)
         if not args.no_plot:
-            _draw(
-                folder.path,
-                reconstructor,
-                model,
-                files.trajectory,
-                T_base_rig,
-                dataset.name,
-                config.model.volume.voxel_m,
-            )
+            way_m = transform_points(T_base_rig, files.trajectory.positions_m)
+            _draw(folder.path, model, way_m, dataset.name, config.model.volume.voxel_m)
+            sample = reconstructor.sample
+            if sample is not None:
+                picture = folder.path / "disparity.png"
+                disparity_picture(picture, sample.disparity_px, sample.counts)
         folder.write_json(
             "run.json",
             run_record(
