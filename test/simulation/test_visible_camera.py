@@ -7,6 +7,7 @@ from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.simulation.presets import find_preset, plan_run
 from thermal_stereo_vo.simulation.settings import VisibleCameraConfig
+from thermal_stereo_vo.simulation.simulation import Simulation
 from thermal_stereo_vo.simulation.studio import Studio
 from thermal_stereo_vo.simulation.visible_camera import SIGNAL_STEP, VisibleCamera
 
@@ -54,3 +55,20 @@ def test_the_bands_share_geometry_and_not_texture() -> None:
     b = thermal_as_visible.radiance[patch].ravel()
     a, b = a - a.mean(), b - b.mean()
     assert abs(a @ b) < 0.5 * np.linalg.norm(a) * np.linalg.norm(b)
+
+
+def test_dusk_dims_the_visible_band_and_leaves_the_thermal_one() -> None:
+    def frames(*overrides: str) -> tuple[np.ndarray, ...]:
+        settings = ("render.scale=0.125", "render.workers=0", "duration_s=0.05", *overrides)
+        run = Simulation("ms-01", with_overrides(find_preset("ms-01").config, settings))
+        return tuple(frame.image for frame in run.frames())
+
+    lit, dusk, dark = (frames(f"world.illumination={light}") for light in ("0.5", "0.01", "0.0003"))
+    for other in (dusk, dark):
+        np.testing.assert_array_equal(other[1], lit[1])
+    # Exposure makes up for dusk, at the price of noise; for darkness it cannot.
+    assert dusk[0].mean() == pytest.approx(lit[0].mean(), rel=0.1)
+    assert dark[0].mean() < 0.7 * lit[0].mean()
+    # The rig rests: what differs between two frames is noise.
+    noise = [np.std(view[2].astype(float) - view[0]) for view in (lit, dusk)]
+    assert noise[1] > 1.2 * noise[0]

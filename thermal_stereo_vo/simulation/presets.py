@@ -45,5 +45,7 @@ def plan_run(preset: str, config: SimulationConfig) -> RunPlan:
         config.world.weather, None if air is None else air + _ZERO_CELSIUS_KELVIN
     )
     weather = dataclasses.replace(weather, contrast=weather.contrast * config.world.contrast)
+    if config.world.illumination is not None:
+        weather = dataclasses.replace(weather, illumination=config.world.illumination)
     motion = chosen.motion(config, np.random.default_rng([config.flight.seed, 10]))
     return RunPlan(preset, config, motion, weather, chosen.rig(config))

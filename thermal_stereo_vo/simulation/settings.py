@@ -21,6 +21,13 @@ class WorldConfig:
         minimum=-40.0,
         maximum=50.0,
     )
+    illumination: float | None = setting(
+        None,
+        "Visible light relative to full daylight; 0.01 is dusk, 0.0001 a street without lamps; "
+        "empty keeps the weather's.",
+        minimum=1e-6,
+        maximum=2.0,
+    )
     target_kelvin: float = setting(
         25.0, "How much warmer than the air a heated target is.", unit="K", minimum=-100.0,
         maximum=300.0,
