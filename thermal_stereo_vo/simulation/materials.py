@@ -53,6 +53,7 @@ class Material(IntEnum):
     PAINTED_BOARD = auto()
     MDF = auto()
     HEATED_PANEL = auto()
+    LAMP = auto()
 
 
 @dataclass(frozen=True)
@@ -252,5 +253,8 @@ SUBSTANCES: dict[Material, Substance] = {
     ),
     Material.HEATED_PANEL: Substance(
         0.95, passive=False, heat=Texture(0.3, 0.15, 3), albedo=0.5,
+    ),
+    Material.LAMP: Substance(
+        0.94, own_kelvin=0.5, passive=False, heat=Texture(0.6, 0.15, 5, 0.7), albedo=0.95,
     ),
 }  # fmt: skip

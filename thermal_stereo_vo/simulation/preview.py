@@ -92,7 +92,7 @@ def write_gallery(folder: Path, on_preset: Callable[[], None] = lambda: None) ->
         for preset in presets:
             tiles += _tiles(preset)
             on_preset()
-        across = 4 if len(tiles) > 8 else 2
+        across = 6 if len(tiles) % 6 == 0 else 4
         blank = np.zeros_like(tiles[0])
         tiles += [blank] * (-len(tiles) % across)
         rows = [np.hstack(tiles[k : k + across]) for k in range(0, len(tiles), across)]

@@ -37,7 +37,7 @@ def build_room(seed: int, air_kelvin: float, *, person: bool) -> Scene:
     _desk(b, placed(depth - 1.2, -1.9, 0.0), rng)
     for x in (-1.5, 1.5):
         for y in (-1.5, 1.5):  # lamps
-            b.box([x - 0.6, y - 0.15, h - 0.06], [x + 0.6, y + 0.15, h - 0.01], Material.PLASTIC,
+            b.box([x - 0.6, y - 0.15, h - 0.06], [x + 0.6, y + 0.15, h - 0.01], Material.LAMP,
                   offset_kelvin=9.0)  # fmt: skip
     plant = placed(depth - 0.6, w - 0.6, 0.0)
     b.cylinder(plant[:3, 3], plant[:3, 3] + np.array([0, 0, 0.4]), 0.18, Material.PLASTIC)

@@ -16,7 +16,7 @@ from thermal_stereo_vo.simulation.settings import SimulationConfig
 from thermal_stereo_vo.simulation.trajectory import Motion
 from thermal_stereo_vo.simulation.weather import Weather
 
-PICTURE_VERSION = 5
+PICTURE_VERSION = 6
 """Raised whenever the same settings give other pictures, so that old caches are refused."""
 
 _IN_PICTURE = (
