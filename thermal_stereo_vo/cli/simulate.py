@@ -83,7 +83,7 @@ def _simulation(args: argparse.Namespace) -> Simulation:
     from thermal_stereo_vo.simulation.presets import find_preset
     from thermal_stereo_vo.simulation.simulation import Simulation
 
-    overrides = [text.removeprefix(SIMULATION_PREFIX) for text in args.overrides]
+    overrides = _overrides(args)
     if args.cache is not None:
         overrides.append(f"render.cache={args.cache}")
     if args.workers is not None:
@@ -94,6 +94,10 @@ def _simulation(args: argparse.Namespace) -> Simulation:
         overrides.append(f"flight.length_m={args.length}")
     config = with_overrides(find_preset(args.preset).config, overrides)
     return Simulation(args.preset, config, args.seed)
+
+
+def _overrides(args: argparse.Namespace) -> list[str]:
+    return [text.removeprefix(SIMULATION_PREFIX) for text in args.overrides]
 
 
 def _write_bag(args: argparse.Namespace, simulation: Simulation) -> int:
@@ -120,7 +124,7 @@ def _compare(args: argparse.Namespace) -> int:
 
     if args.output is None:
         raise SimulationError("say where the report shall go: --output DIR")
-    text = write_realism_report(args.compare_real, args.output)
+    text = write_realism_report(args.compare_real, args.output, _overrides(args))
     _say(args, text)
     return 0
 

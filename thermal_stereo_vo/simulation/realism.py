@@ -62,14 +62,14 @@ class Sample:
         return np.array([getattr(s, name) for s in self.statistics])
 
 
-def write_realism_report(data: Path, output: Path) -> str:
-    """Write ``realism.md``, ``realism.json`` and four pictures; returns the table.
+def write_realism_report(data: Path, output: Path, overrides: Sequence[str] = ()) -> str:
+    """Write ``realism.md``, ``realism.json`` and two pictures; returns the table.
 
-    ``data`` holds any of ``tau2_stills``, ``lwir_drive``, ``optris_sweep`` and
+    ``overrides`` change settings of every simulated run.  ``data`` holds any of ``tau2_stills``, ``lwir_drive``, ``optris_sweep`` and
     ``flat_fields_fpa``.  Raises DatasetError when it holds none of them.
     """
     count = fast_hessian_counter(THRESHOLD)
-    samples = [*recorded_samples(data, count), *simulated_samples(count)]
+    samples = [*recorded_samples(data, count), *simulated_samples(count, overrides)]
     output.mkdir(parents=True, exist_ok=True)
     table = statistics_table(samples)
     verdict = spread_verdict(samples)
@@ -121,7 +121,7 @@ def recorded_samples(data: Path, count: Callable[[Image], int]) -> list[Sample]:
     return found
 
 
-def simulated_samples(count: Callable[[Image], int]) -> list[Sample]:
+def simulated_samples(count: Callable[[Image], int], overrides: Sequence[str] = ()) -> list[Sample]:
     """A flight in every weather, and an office."""
     kinds = (
         (_COMPARED, "seq4", ("world.weather=sunny_day", "world.air_celsius=20")),
@@ -132,8 +132,8 @@ def simulated_samples(count: Callable[[Image], int]) -> list[Sample]:
         ("office", "ms-02", ()),
     )
     samples = []
-    for name, preset, overrides in kinds:
-        config = with_overrides(find_preset(preset).config, overrides)
+    for name, preset, own in kinds:
+        config = with_overrides(find_preset(preset).config, (*own, *overrides))
         frames = sample_frames(preset, config, _FRACTIONS)
         if preset.startswith("ms"):
             frames = frames[1::2]  # the thermal ones
