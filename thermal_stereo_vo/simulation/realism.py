@@ -65,8 +65,9 @@ class Sample:
 def write_realism_report(data: Path, output: Path, overrides: Sequence[str] = ()) -> str:
     """Write ``realism.md``, ``realism.json`` and two pictures; returns the table.
 
-    ``overrides`` change settings of every simulated run.  ``data`` holds any of ``tau2_stills``, ``lwir_drive``, ``optris_sweep`` and
-    ``flat_fields_fpa``.  Raises DatasetError when it holds none of them.
+    ``overrides`` change settings of every simulated run.  ``data`` holds any of ``tau2_stills``,
+    ``lwir_drive``, ``optris_sweep`` and ``flat_fields_fpa``.  Raises DatasetError when it holds
+    none of them.
     """
     count = fast_hessian_counter(THRESHOLD)
     samples = [*recorded_samples(data, count), *simulated_samples(count, overrides)]
