@@ -13,7 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import retract, solve_positive
-from thermal_stereo_vo.odometry.feature_based.frame_pose import robust_sigma
+from thermal_stereo_vo.odometry.feature_based.frame_pose import (
+    frame_residuals_reference,
+    robust_sigma,
+)
 from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     COMPONENTS,
     cauchy_cost,
@@ -23,6 +26,7 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     residual_row,
     uses_component,
 )
+from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.information import inverse_information
 
 RHO_MIN = 1e-5
@@ -121,6 +125,28 @@ def window_residuals(T, rhos, hosts, bearings, observed, weights, eyes, out):  #
                 out[c, n, k] = np.nan
                 if weights[c, n] > 0.0 and counts(k, c, hosts[n], observed[c, n]):
                     out[c, n, k] = residual_row(k, p, rhos[n], observed[c, n, k], eyes, row, q)
+
+
+def window_residuals_reference(
+    T_k_w: NDArray[np.float64],
+    rhos: NDArray[np.float64],
+    problem: BundleProblem,
+    right_turn_rad: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(K, N, 4) residuals in px, the plain numpy form of ``window_residuals``."""
+    camera = StereoCamera(*problem.eyes[:6])
+    out = np.stack(
+        [
+            frame_residuals_reference(
+                T, T_k_w, problem.hosts, problem.bearings, rhos, seen, camera, right_turn_rad
+            )
+            for T, seen in zip(T_k_w, problem.observed, strict=True)
+        ]
+    )
+    at_home = np.arange(len(T_k_w))[:, None] == problem.hosts
+    out[at_home] = np.where(np.arange(COMPONENTS) == 2, out[at_home], np.nan)
+    out[problem.weights <= 0.0] = np.nan
+    return out
 
 
 @njit(cache=True, nogil=True)

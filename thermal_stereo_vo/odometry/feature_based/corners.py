@@ -92,3 +92,39 @@ def pick_corners(  # type: ignore[no-untyped-def]
                 total += 1
                 taken[max(by - gap, 0) : by + gap + 1, max(bx - gap, 0) : bx + gap + 1] = True
     return found[:total].copy()
+
+
+def pick_corners_reference(
+    strength: NDArray[np.float32],
+    occupied: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    cell_px: int,
+    per_cell: int,
+    border: int,
+) -> NDArray[np.int64]:
+    """The plain numpy form of ``pick_corners``: sort each cell, take what is not too near."""
+    height, width = strength.shape
+    gap = max(cell_px // 5, 3)
+    near = (occupied + 0.5).astype(int).tolist()
+    taken = [(x, y) for x, y in near if 0 <= x < width and 0 <= y < height]
+    held = [(x // cell_px, y // cell_px) for x, y in taken]
+    allowed = (strength > 0.0) & mask
+    allowed[:border] = allowed[height - border :] = False
+    allowed[:, :border] = allowed[:, width - border :] = False
+    found: list[tuple[int, int]] = []
+    for r in range(-(-height // cell_px)):
+        for c in range(-(-width // cell_px)):
+            ys, xs = np.nonzero(
+                allowed[r * cell_px : (r + 1) * cell_px, c * cell_px : (c + 1) * cell_px]
+            )
+            ys, xs = ys + r * cell_px, xs + c * cell_px
+            room = per_cell - held.count((c, r))
+            for i in np.argsort(-strength[ys, xs], kind="stable"):
+                if room <= 0:
+                    break
+                x, y = int(xs[i]), int(ys[i])
+                if all(max(abs(x - a), abs(y - b)) > gap for a, b in taken):
+                    found.append((x, y))
+                    taken.append((x, y))
+                    room -= 1
+    return np.array(found, np.int64).reshape(-1, 2)

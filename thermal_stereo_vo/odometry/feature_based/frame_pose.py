@@ -9,15 +9,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import retract, solve_positive
+from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     COMPONENTS,
     cauchy_cost,
     cauchy_weight,
     point_in_camera,
+    predict_pixels_reference,
     relative_transform,
     residual_row,
     uses_component,
 )
+from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.information import inverse_information
 
 
@@ -99,6 +102,28 @@ def frame_residuals(T, T_hosts, hosts, bearings, rhos, observed, eyes, out):  # 
             out[n, k] = np.nan
             if uses_component(k, observed[n]):
                 out[n, k] = residual_row(k, p, rhos[n], observed[n, k], eyes, row, q)
+
+
+def frame_residuals_reference(
+    T: NDArray[np.float64],
+    T_hosts: NDArray[np.float64],
+    hosts: NDArray[np.int64],
+    bearings: NDArray[np.float64],
+    rhos: NDArray[np.float64],
+    observed: NDArray[np.float64],
+    camera: StereoCamera,
+    right_turn_rad: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(N, 4) residuals in px, the plain numpy form of ``frame_residuals``."""
+    predicted = np.full(observed.shape, np.nan)
+    for host in np.unique(hosts):
+        mine = hosts == host
+        predicted[mine] = predict_pixels_reference(
+            T @ inverse(T_hosts[host]), bearings[mine], rhos[mine], camera, right_turn_rad
+        )
+    residuals = observed - predicted
+    residuals[np.isfinite(observed[:, 0]), 3] = np.nan
+    return residuals
 
 
 @njit(cache=True, nogil=True)

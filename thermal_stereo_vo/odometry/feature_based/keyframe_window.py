@@ -317,16 +317,13 @@ class KeyframeWindow:
     def _forget_oldest(self) -> None:
         """The second oldest becomes the one held fixed, with the uncertainty it has by now."""
         oldest, heir = self.order[0], self.order[1]
-        T_oldest_heir = inverse(
-            self.T_keyframe_world[oldest] @ inverse(self.T_keyframe_world[heir])
-        )
+        T_world_heir = inverse(self.T_keyframe_world[heir])
         heir_given_oldest = self._relative_covariance[heir]
         self._oldest_covariance = self._pose(heir).covariance
         for slot in self.order[2:]:
             # Relative to the heir instead of the oldest; correlations are left to the next
             # adjustment, a difference of covariances would not stay positive.
-            T_slot_oldest = self.T_keyframe_world[slot] @ inverse(self.T_keyframe_world[oldest])
-            Ad = adjoint(T_slot_oldest @ T_oldest_heir)
+            Ad = adjoint(self.T_keyframe_world[slot] @ T_world_heir)
             rest = self._relative_covariance[slot] - Ad @ heir_given_oldest @ Ad.T
             self._relative_covariance[slot] = _positive(rest)
         self.order.pop(0)

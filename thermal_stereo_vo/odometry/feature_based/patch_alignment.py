@@ -227,13 +227,16 @@ def search_disparity(  # type: ignore[no-untyped-def]
             if xr >= width - radius:
                 scores[disparity - min_disparity] = -1.0
                 continue
+            # Squares of linear counts would leave no digits for a faint contrast.
+            level = right[y, xr]
             for j in range(side):
                 row = right[y - radius + j, xr - radius : xr + radius + 1]
                 model = template[j * side : (j + 1) * side]
                 for i in range(side):
-                    total += row[i]
-                    squares += row[i] * row[i]
-                    cross += row[i] * model[i]
+                    value = row[i] - level
+                    total += value
+                    squares += value * value
+                    cross += value * model[i]
             variance = squares - total * total / np.float32(count)
             score = cross / np.sqrt(energy * variance) if variance > 0.0 else np.float32(-1.0)
             scores[disparity - min_disparity] = score
@@ -248,6 +251,35 @@ def search_disparity(  # type: ignore[no-untyped-def]
         if rival < 0.95 * best:
             out_disparity[n] = index
             out_score[n] = best
+
+
+def search_disparity_reference(
+    left: NDArray[np.float32],
+    right: NDArray[np.float32],
+    pixel: tuple[int, int],
+    radius: int,
+    min_disparity: int,
+    max_disparity: int,
+) -> tuple[int, float]:
+    """Disparity and ZNCC of one pixel (x, y), the plain numpy form of ``search_disparity``."""
+    x, y = pixel
+    height, width = left.shape
+    if not (radius <= x < width - radius and radius <= y < height - radius):
+        return 0, -1.0
+    rows = slice(y - radius, y + radius + 1)
+    template = left[rows, x - radius : x + radius + 1]
+    scores = {}
+    for disparity in range(min_disparity, max_disparity + 1):
+        xr = x - disparity
+        if radius <= xr < width - radius:
+            patch = right[rows, xr - radius : xr + radius + 1]
+            flat = np.ptp(patch) == 0.0 or np.ptp(template) == 0.0
+            scores[disparity] = -1.0 if flat else correlation_reference(template, patch)
+    best = max(scores, key=lambda d: scores[d], default=0)
+    rivals = [score for d, score in scores.items() if abs(d - best) > 2]
+    if scores.get(best, -1.0) <= -1.0 or max(rivals, default=-1.0) >= 0.95 * scores[best]:
+        return 0, -1.0
+    return best, scores[best]
 
 
 def correlation_reference(first: NDArray[np.floating], second: NDArray[np.floating]) -> float:
