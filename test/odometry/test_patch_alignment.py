@@ -71,7 +71,7 @@ def test_samples_are_bilinear(rng):
     for x, y in rng.uniform((12, 12), (36, 26), (10, 2)):
         out = np.empty(side * side, np.float32)
         mean = _sample_square(image, x, y, RADIUS, out)
-        plain = ndimage.map_coordinates(image, (grid + [[x], [y]])[::-1], order=1)
+        plain = ndimage.map_coordinates(image, (grid + np.array([[x], [y]]))[::-1], order=1)
         np.testing.assert_allclose(out, plain, rtol=1e-4)
         assert mean == pytest.approx(plain.mean(), rel=1e-5)
         warp = np.array([[0.9, 0.2], [-0.1, 1.1]])
@@ -138,7 +138,7 @@ def test_a_known_warp_is_taken_into_account(rng):
     centre = np.array([[80.0, 60.0]])
     image = scene.image((0.7, -0.4), warp)
     px, score = align(scene.image(), image, centre, centre, warp)
-    np.testing.assert_allclose(px, centre + [0.7, -0.4], atol=0.03)
+    np.testing.assert_allclose(px, centre + np.array([0.7, -0.4]), atol=0.03)
     assert score[0] > 0.98
     _, without = align(scene.image(), image, centre, centre)
     _, opposite = align(scene.image(), image, centre, centre, np.linalg.inv(warp))
