@@ -121,7 +121,7 @@ def frame_residuals_reference(
         predicted[mine] = predict_pixels_reference(
             T @ inverse(T_hosts[host]), bearings[mine], rhos[mine], camera, right_turn_rad
         )
-    residuals = observed - predicted
+    residuals: NDArray[np.float64] = observed - predicted
     residuals[np.isfinite(observed[:, 0]), 3] = np.nan
     return residuals
 
