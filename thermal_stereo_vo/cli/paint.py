@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="radiometric calibration, e.g. planck_r=366545; without it counts are painted",
+        help="radiometric calibration, e.g. planck_r=216973; without it counts are painted",
     )
 
 
