@@ -25,7 +25,7 @@ def wall_distance_m(room, xyz):
 
 def fly(room, reconstructor, frames=9, statuses=None):
     rng = np.random.default_rng(1)
-    for k, T in enumerate(room.path(frames, step=(0.0, 0.0, 0.15, 0.0, 0.005, 0.0))):
+    for k, T in enumerate(room.path(frames, step=(0.1, 0.0, 0.12, 0.0, 0.02, 0.0))):
         status = TrackingStatus.TRACKING if statuses is None else statuses[k]
         pose = None if status is TrackingStatus.LOST else T
         reconstructor.on_rig_frame(room.rig_frame(k, T, rng))
@@ -50,7 +50,7 @@ def test_the_model_is_where_the_walls_are(room, flown):
 
 
 def test_keyframes_are_apart(flown):
-    # 1.2 m flown in steps of 15 cm, a keyframe every 25 cm: every other frame.
+    # 1.2 m flown in steps of 16 cm, a keyframe every 25 cm: every other frame.
     assert flown.keyframes == 5
     assert flown.measured_points > 50_000
     assert flown.sample.density > 0.5

@@ -47,12 +47,12 @@ def test_noise_averages_out_and_the_surface_lies_between_voxels(distance_m):
 def test_surer_clouds_weigh_more():
     rng = np.random.default_rng(2)
     volume = Volume(CONFIG)
-    for distance_m, sigma_m in ((5.0, 0.05), (5.2, 0.2)):
+    for distance_m, sigma_m in ((5.0, 0.1), (5.2, 0.2)):
         cloud = wall(rng, distance_m, noise_m=0.0)
         volume.add(cloud, EYE, np.full(len(cloud.xyz), sigma_m))
     z = volume.surface().cloud.xyz[:, 2]
-    # Weights are 16 to 1.
-    assert np.median(z) == pytest.approx((16 * 5.0 + 5.2) / 17, abs=0.02)
+    # Weights are 4 to 1.
+    assert np.median(z) == pytest.approx((4 * 5.0 + 5.2) / 5, abs=0.015)
 
 
 def test_means_spreads_and_counts_are_those_of_the_points_put_in():
