@@ -52,7 +52,7 @@ def test_surer_clouds_weigh_more():
         volume.add(cloud, EYE, np.full(len(cloud.xyz), sigma_m))
     z = volume.surface().cloud.xyz[:, 2]
     # Weights are 4 to 1.
-    assert np.median(z) == pytest.approx((4 * 5.0 + 5.2) / 5, abs=0.015)
+    assert 5.02 < np.median(z) < 5.045  # 5.04; equal weights give 5.1, weights of 2 to 1 5.07
 
 
 def test_means_spreads_and_counts_are_those_of_the_points_put_in():
