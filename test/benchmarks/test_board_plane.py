@@ -26,10 +26,10 @@ def test_a_plane_is_found_through_noise_and_outliers(outliers):
 
 
 def test_the_report_has_a_row_for_each_pair():
-    plane = BoardPlane("000000029", 1234, 0.5, 1.512, 1.51, 0.0042, 0.31)
+    plane = BoardPlane("000000029", 1234, 0.5, 1.512, 1.51, 0.0042, 0.013, 0.31)
     lines = plane_report([plane, plane]).splitlines()
     assert len(lines) == 4
-    for text in ("000000029", "1234", "50", "1.5120", "1.5100", "4.20", "0.31"):
+    for text in ("000000029", "1234", "50", "1.5120", "1.5100", "4.20", "1.3", "0.31"):
         assert text in lines[2]
 
 

@@ -22,6 +22,8 @@ from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifie
 Array = NDArray[np.float64]
 
 LEAST_POINTS = 100
+STRAY_M = 0.02
+_SIGMA_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class BoardPlane:
     ``coverage`` is the share of pixels with a point; ``distance_m`` that of the fitted plane along
     the ray through the middle of the board, ``corner_distance_m`` that of the plane of the
     triangulated corners; ``residual_m`` the standard deviation of the points about their own plane,
-    ``angle_deg`` between both planes.
+    as the median tells it, ``strays`` the share of those more than 2 cm off, ``angle_deg`` between
+    both planes.
     """
 
     name: str
@@ -40,6 +43,7 @@ class BoardPlane:
     distance_m: float
     corner_distance_m: float
     residual_m: float
+    strays: float
     angle_deg: float
 
 
@@ -112,13 +116,15 @@ def _plane(name: str, disparities: DisparityMap, left: Array, right: Array) -> B
     middle = camera.unproject(left.mean(axis=0)[None])[0]
     normal, offset = fitted_plane(dense)
     corner_normal, corner_offset = fitted_plane(corners)
+    off_m = dense @ normal - offset
     return BoardPlane(
         name=name,
         points=int(on_board.sum()),
         coverage=float(on_board.sum() / inside.sum()),
         distance_m=float(np.linalg.norm(middle) * offset / (normal @ middle)),
         corner_distance_m=float(np.linalg.norm(middle) * corner_offset / (corner_normal @ middle)),
-        residual_m=float(np.std(dense @ normal - offset)),
+        residual_m=float(_SIGMA_OF_MEDIAN * np.median(np.abs(off_m))),
+        strays=float(np.mean(np.abs(off_m) > STRAY_M)),
         angle_deg=float(np.degrees(np.arccos(min(1.0, abs(float(normal @ corner_normal)))))),
     )
 
@@ -138,7 +144,7 @@ def fitted_plane(points_m: Array) -> tuple[Array, float]:
         centre = chosen.mean(axis=0)
         normal = np.linalg.svd(chosen - centre, full_matrices=False)[2][2]
         off = points_m @ normal - centre @ normal
-        limit = max(3.0 * 1.4826 * float(np.median(np.abs(off))), 1e-9)
+        limit = max(3.0 * _SIGMA_OF_MEDIAN * float(np.median(np.abs(off))), 1e-9)
         chosen = points_m[np.abs(off) <= limit]
     offset = float(centre @ normal)
     return (normal, offset) if offset >= 0.0 else (-normal, -offset)
@@ -147,7 +153,7 @@ def fitted_plane(points_m: Array) -> tuple[Array, float]:
 def plane_report(planes: Sequence[BoardPlane]) -> str:
     """A row for each board."""
     header = ["pair", "points", "covered (%)", "distance (m)", "by corners (m)",
-              "residual (mm)", "angle (deg)"]  # fmt: skip
+              "residual (mm)", "strays (%)", "angle (deg)"]  # fmt: skip
     rows = [
         [
             plane.name,
@@ -156,6 +162,7 @@ def plane_report(planes: Sequence[BoardPlane]) -> str:
             f"{plane.distance_m:.4f}",
             f"{plane.corner_distance_m:.4f}",
             f"{1e3 * plane.residual_m:.2f}",
+            f"{100 * plane.strays:.1f}",
             f"{plane.angle_deg:.2f}",
         ]
         for plane in planes

@@ -56,7 +56,7 @@ def matching_view(
     detail = counts - cv2.blur(counts, box)
     deviation = cv2.blur(cv2.multiply(detail, detail), box)
     deviation += np.float32(floor_counts * floor_counts)
-    cv2.sqrt(deviation, dst=deviation)
+    cv2.sqrt(np.maximum(deviation, 1e-6), dst=deviation)
     cv2.divide(detail, deviation, dst=detail, scale=_GAIN)
     return np.asarray(cv2.add(detail, _GREY, dtype=cv2.CV_8U), np.uint8)
 
@@ -77,5 +77,6 @@ def sky(
     reach = np.ones((2 * _DRAWN_OUT_PX + 1, 2 * _DRAWN_OUT_PX + 1), np.uint8)
     around = cv2.dilate(area, reach).astype(np.bool_)
     detail = counts - cv2.blur(counts, (9, 9))
-    deviation = np.sqrt(cv2.blur(cv2.multiply(detail, detail), (5, 5)))
+    # Running sums may end a rounding error below zero.
+    deviation = np.sqrt(np.maximum(cv2.blur(cv2.multiply(detail, detail), (5, 5)), 0.0))
     return np.asarray(around & (deviation < contrast_counts), np.bool_)
