@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -163,17 +162,15 @@ def measure_flights(
     settings: Sequence[str],
     seeds: Sequence[int],
     config: Config,
-    cache: Path,
     on_progress: Callable[[], None] = lambda: None,
 ) -> Iterator[FlightCell]:
     """The same flights under the true and under each obtained calibration."""
     from thermal_stereo_vo.datasets.options import SourceOptions
     from thermal_stereo_vo.datasets.simulated import open_simulated
 
-    overrides = (f"render.cache={cache}", *settings)
     for seed in seeds:
         for name in (TRUTH, *calibrations):
-            dataset = open_simulated(preset, SourceOptions(seed=seed, overrides=overrides))
+            dataset = open_simulated(preset, SourceOptions(seed=seed, overrides=tuple(settings)))
             metrics = fly(dataset, config, calibrations.get(name)).metrics
             yield FlightCell(
                 name,

@@ -31,7 +31,7 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
         "--flights", type=int, default=1, metavar="N", help="flights with other sensor noise (1)"
     )
     parser.add_argument(
-        "--cache", metavar="DIR", help="folder that keeps the pictures of the flight (none)"
+        "--cache", metavar="DIR", help="folder that keeps the rendered pictures (none)"
     )
     parser.add_argument("--quiet", action="store_true", help="draw no progress bar")
 
@@ -61,20 +61,26 @@ def run_calibration(args: argparse.Namespace) -> int:
             f"'{args.boards}', {args.seeds} and {args.flights}"
         )
     cells, calibrations = [], {}
-    with progress(len(boards) * args.seeds, "calibration", quiet=args.quiet) as step:
-        for board in boards:
-            for seed in range(args.seeds):
-                cell, calibration = calibrate_simulated(board, seed, args.views)
-                cells.append(cell)
-                calibrations[f"{board} {seed}"] = calibration
-                step()
-    print(calibration_report(cells))
-    if args.flight is not None:
-        settings = (f"rate_hz={args.rate}", f"flight.length_m={args.length}")
+    with picture_cache(args) as cache:
+        with progress(len(boards) * args.seeds, "calibration", quiet=args.quiet) as step:
+            for board in boards:
+                for seed in range(args.seeds):
+                    kept = f"render.cache={cache / f'{board}_{seed}'}"
+                    cell, calibration = calibrate_simulated(board, seed, args.views, [kept])
+                    cells.append(cell)
+                    calibrations[f"{board} {seed}"] = calibration
+                    step()
+        print(calibration_report(cells), flush=True)
+        if args.flight is None:
+            return 0
         flights, total = range(args.flights), args.flights * (1 + len(calibrations))
-        with picture_cache(args) as cache, progress(total, "flight", quiet=args.quiet) as step:
-            flown = list(
-                measure_flights(calibrations, args.flight, settings, flights, Config(), cache, step)
-            )
-        print(flight_report(flown))
+        settings = (
+            f"rate_hz={args.rate}",
+            f"flight.length_m={args.length}",
+            f"render.cache={cache / args.flight}",
+        )
+        with progress(total, "flight", quiet=args.quiet) as step:
+            flown = measure_flights(calibrations, args.flight, settings, flights, Config(), step)
+            told = flight_report(list(flown))
+        print(told)
     return 0
