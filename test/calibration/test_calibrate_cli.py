@@ -65,9 +65,7 @@ def test_files_are_what_ros_and_the_rectifier_read(calibrated, pictures):
     assert info.distortion_model == "plumb_bob"
     assert info.p[3] == pytest.approx(-info.p[0] * 0.06, rel=5e-3)
     urls = [f"file://{calibrated}/{eye}.yaml" for eye in ("left", "right")]
-    told = read_calibrations(
-        StereoCaptureConfig(left_calibration=urls[0], right_calibration=urls[1])
-    )
+    told = read_calibrations(StereoCaptureConfig("recording", 4, *urls))
     assert told["right"].p == info.p
     by_pair = load_calibration(calibrated / "left.yaml")
     rectifier = Rectifier(by_pair, RectificationConfig())

@@ -57,8 +57,8 @@ class Target:
             )
         if not (np.isfinite(self.spacing_m) and 1e-3 <= self.spacing_m <= 2.0):
             raise CalibrationError(
-                f"the board spacing {self.spacing_m} m must lie between 0.001 and 2 m: metres are "
-                "wanted"
+                f"the board spacing {self.spacing_m} m must lie between 0.001 and 2 m: "
+                "give it in metres"
             )
         if self.kind is TargetKind.MASK:
             pitch_m = self.pitch_m or 2.0 * self.spacing_m
