@@ -68,9 +68,13 @@ def test_every_argument_used_is_declared(path: Path) -> None:
 
 def test_parameters_given_are_parameters_of_the_nodes() -> None:
     pytest.importorskip("rclpy", reason="rclpy is not installed")
+    from thermal_stereo_vo.nodes.rectification_node import RectificationNodeConfig
     from thermal_stereo_vo.nodes.replay_node import ReplayNodeConfig
+    from thermal_stereo_vo.nodes.stereo_odometry_config import StereoOdometryNodeConfig
 
     known = {info.path for info in settings_of(ReplayNodeConfig)} | {"use_sim_time"}
+    followers = (RectificationNodeConfig, StereoOdometryNodeConfig)
+    known |= set.intersection(*({info.path for info in settings_of(c)} for c in followers))
     for path in LAUNCH_FILES:
         for call in calls(ast.parse(path.read_text()), "Node"):
             for keyword in call.keywords:
