@@ -49,7 +49,7 @@ class Rig:
     ``parameters[c]`` are the lens parameters of camera c, ``T_camera_reference[c]`` (4, 4) its
     place
     (the first is the reference and stays the identity), ``T_reference_board[v]`` (4, 4) the boards.
-    ``board`` (2,) are the widening and depth of mask holes, (0,) for flat boards.
+    ``board`` (4,) are the parameters of mask holes (see ``mask_model``), (0,) for flat boards.
     """
 
     lenses: tuple[Lens, ...]
@@ -110,11 +110,11 @@ class Prior:
     """What is known beforehand.
 
     Lenses: (mean (P,), covariance (P, P)) or None a camera.  Board: it is flat within
-    ``board_sigma_m`` (B,).
+    ``board_sigma`` (B,).
     """
 
     cameras: tuple[tuple[Array, Array] | None, ...]
-    board_sigma_m: Array
+    board_sigma: Array
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def _pull(rig: Rig, prior: Prior | None, scale_px: float) -> ViewInformation:
                 gradient[part] = hessian[part, part] @ (mean - rig.parameters[c])
     if prior is not None and len(rig.board):
         part = rig.board_slice
-        hessian[part, part] = np.diag(scale_px**2 / prior.board_sigma_m**2)
+        hessian[part, part] = np.diag(scale_px**2 / prior.board_sigma**2)
         gradient[part] = -hessian[part, part] @ rig.board
     return ViewInformation(hessian, gradient, 0.0, 0)
 

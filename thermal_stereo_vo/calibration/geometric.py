@@ -48,7 +48,7 @@ from thermal_stereo_vo.calibration.mask_model import (
     WIDENING,
     flattened,
     hole_sides,
-    prior_sigma_m,
+    prior_sigma,
 )
 from thermal_stereo_vo.calibration.result import (
     CalibrationResult,
@@ -142,12 +142,12 @@ class _Problem:
 
     def prior(self, roles: Sequence[str] | None = None) -> Prior | None:
         """What is known beforehand, or None."""
-        sigma_m = prior_sigma_m(self.target)
-        if not self.known and not len(sigma_m):
+        sigma = prior_sigma(self.target)
+        if not self.known and not len(sigma):
             return None
         known = [self.known.get(role) for role in roles or self.roles]
         lenses = tuple(None if k is None else (k.parameters, k.covariance) for k in known)
-        return Prior(lenses, sigma_m)
+        return Prior(lenses, sigma)
 
     def solved(
         self, rig: Rig, indices: Sequence[int] | None = None, *, tolerance: float = 1e-9
@@ -219,7 +219,7 @@ def _initial_rig(problem: _Problem) -> Rig:
         T_camera_board = board_pose(cameras[c], points[view.ids], view.pixels)
         boards.append(inverse(places[c]) @ T_camera_board)
     lenses = tuple(problem.lenses[role] for role in problem.roles)
-    flat = np.zeros(len(prior_sigma_m(problem.target)))
+    flat = np.zeros(len(prior_sigma(problem.target)))
     return Rig(lenses, tuple(parameters), tuple(places), tuple(boards), flat)
 
 

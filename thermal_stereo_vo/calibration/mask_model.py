@@ -5,6 +5,11 @@ cold as the mask nor as warm as the panel behind.  The fitted edge then lies bet
 edge, at an effective depth behind the front; and warm edges make all holes a little wider.  Both
 numbers are the same in all views and are estimated with the cameras: without them a 6 mm mask
 costs half a percent of focal length.
+
+Where the wall of only one side shows at a corner, the fit of a corner with equal edges also errs
+along the other side, and where both show it errs along both, in proportion to the walls that are
+seen.  These two ratios are estimated as well: the eyes of a pair see opposite walls, so that what
+is left of this would pass for disparity.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from thermal_stereo_vo.core.transforms import inverse, transform_points
 
 Array = NDArray[np.float64]
 
-WIDENING, DEPTH = 0, 1
+WIDENING, DEPTH, SINGLE, DOUBLE = 0, 1, 2, 3
 
 
 def hole_sides(target: Target) -> Array | None:
@@ -35,11 +40,14 @@ def hole_sides(target: Target) -> Array | None:
     return np.stack([i % 2 * 2 - 1, j % 2 * 2 - 1], axis=-1).reshape(-1, 2).astype(np.float64)
 
 
-def prior_sigma_m(target: Target) -> Array:
-    """(2,) how wide and how deep holes may reasonably be: a tenth and a quarter of their side."""
+def prior_sigma(target: Target) -> Array:
+    """(4,) what holes may reasonably be.
+
+    As wide and as deep as a tenth and a quarter of their side (m); ratios of a tenth.
+    """
     if target.kind is not TargetKind.MASK:
         return np.zeros(0)
-    return np.array([0.1, 0.25]) * target.spacing_m
+    return np.array([0.1 * target.spacing_m, 0.25 * target.spacing_m, 0.1, 0.1])
 
 
 def seen_corners(
@@ -47,12 +55,14 @@ def seen_corners(
 ) -> tuple[Array, Array]:
     """Hole corners (K, 3) as seen on the front plane from ``camera_m`` (3,), in board axes.
 
-    ``board`` holds widening and depth in m.  A side whose wall faces the camera is seen at the
-    effective depth, projected onto the front plane.  Also the derivatives (K, 3, 2).
+    ``board`` (4,) holds widening and depth in m and the two ratios.  A side whose wall faces the
+    camera is seen at the effective depth, projected onto the front plane.  Also the derivatives
+    (K, 3, 4).
     """
-    widening, depth = board
+    widening, depth, single, double = board
     seen = points_m.copy()
-    derivative = np.zeros((len(points_m), 3, 2))
+    derivative = np.zeros((len(points_m), 3, 4))
+    walls, lengths = np.zeros((2, len(points_m)), bool), np.zeros((2, len(points_m)))
     height = -camera_m[2]
     share = depth / (depth + height)
     by_depth = height / (depth + height) ** 2
@@ -64,6 +74,14 @@ def seen_corners(
         seen[:, axis] = edge + np.where(wall, share * towards, 0.0)
         derivative[:, axis, WIDENING] = 0.5 * sides[:, axis] * np.where(wall, 1.0 - share, 1.0)
         derivative[:, axis, DEPTH] = np.where(wall, by_depth * towards, 0.0)
+        walls[axis], lengths[axis] = wall, np.abs(camera_m[axis] - points_m[:, axis])
+    for axis, other in ((0, 1), (1, 0)):
+        alone = sides[:, axis] * np.where(walls[other] & ~walls[axis], lengths[other], 0.0)
+        both = sides[:, axis] * np.where(walls.all(0), np.sqrt(lengths.prod(0)), 0.0)
+        seen[:, axis] += share * (single * alone + double * both)
+        derivative[:, axis, DEPTH] += by_depth * (single * alone + double * both)
+        derivative[:, axis, SINGLE] = share * alone
+        derivative[:, axis, DOUBLE] = share * both
     return seen, derivative
 
 
