@@ -18,7 +18,7 @@ from thermal_stereo_vo.core.results import PointCloud
 
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
-_LOOSE_ROWS = 4_000_000
+_LOOSE_ROWS = 2_000_000
 _SUMS = ("weight", "distance", "count", "intensity", "intensity2", "temperature", "temperature2")
 _WEIGHT, _DISTANCE, _COUNT, _INTENSITY, _INTENSITY2, _TEMPERATURE, _TEMPERATURE2 = range(len(_SUMS))
 
