@@ -60,7 +60,7 @@ def test_points_are_steep_spread_and_away_from_others(room, rng):
     rest = select_points(level, points[::2].astype(float), mask, config)
     assert 0.3 * len(points) < len(rest) < 0.8 * len(points)
     apart = np.abs(rest[:, None] - points[None, ::2]).max(axis=2).min(axis=1)
-    assert apart.min() > 6
+    assert apart.min() > 3
 
 
 def test_disparities_are_those_of_the_room(room, rng):

@@ -286,20 +286,14 @@ def linearise_window(  # type: ignore[no-untyped-def]
                 row[ah + _POSE + 2 * hc + 1] -= gain * w[7]
     if h >= 0:
         flush_pairs(h, hc, Ad, brightness, pair_A, pair_g, A, g)
+    scaled = np.empty_like(W)
     for n in range(len(hosts)):
-        if not h_rho[n] > 0.0:
-            continue
-        row = W[n]
+        # A point that nothing shows has no row in W either.
+        factor = 1.0 / h_rho[n] if h_rho[n] > 0.0 else 0.0
         for i in range(len(g)):
-            if row[i] == 0.0:
-                continue
-            factor = row[i] / h_rho[n]
-            g[i] -= factor * b_rho[n]
-            for m in range(i, len(g)):
-                A[i, m] -= factor * row[m]
-    for i in range(len(g)):
-        for m in range(i):
-            A[i, m] = A[m, i]
+            scaled[n, i] = factor * W[n, i]
+            g[i] -= scaled[n, i] * b_rho[n]
+    A -= scaled.T @ W
     return cost
 
 

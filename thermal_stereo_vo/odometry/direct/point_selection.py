@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +12,16 @@ from thermal_stereo_vo.core.config import setting
 from thermal_stereo_vo.odometry.feature_based.corners import pick_corners
 
 _BORDER_PX = 6
+_LEAST_CELL_PX = 8
 
 
 @dataclass(frozen=True)
 class SelectionConfig:
     """How many points there are and how they spread."""
 
-    points: int = setting(700, "Points the keyframes keep in sight.", minimum=100, maximum=5000)
-    cell_px: int = setting(
-        32, "Side of the cells that share the points.", unit="px", minimum=8, maximum=500
+    points: int = setting(500, "Points the keyframes keep in sight.", minimum=100, maximum=5000)
+    block_px: int = setting(
+        32, "Side of the blocks whose median gradient counts.", unit="px", minimum=8, maximum=500
     )
     min_gradient: float = setting(
         7.0,
@@ -35,26 +37,26 @@ def select_points(
     occupied_px: NDArray[np.float64],
     mask: NDArray[np.bool_] | None,
     config: SelectionConfig,
-    per_cell_factor: float = 1.0,
+    factor: float = 1.0,
 ) -> NDArray[np.int64]:
-    """(N, 2) pixels of ``image`` (H, W, 3) in cells that ``occupied_px`` (M, 2) leaves room in.
+    """(N, 2) pixels of ``image`` (H, W, 3): steepest of each cell without ``occupied_px`` (M, 2).
 
+    There are ``factor`` times as many cells as points wanted, in the whole image one in each.
     As in DSO (Engel et al., TPAMI 2018) the threshold is the median gradient of the surroundings
     and a constant, so that weak parts of the image get points too and noise does not.
     """
     steepness = np.hypot(image[..., 1], image[..., 2])
     steepness[steepness < _threshold(steepness, config)] = 0.0
     height, width = steepness.shape
-    cells = -(-height // config.cell_px) * -(-width // config.cell_px)
-    per_cell = max(1, round(per_cell_factor * config.points / cells))
+    cell_px = max(_LEAST_CELL_PX, math.ceil(math.sqrt(height * width / (factor * config.points))))
     everywhere = np.ones((1, 1), np.bool_)
     everywhere.flags.writeable = False
     chosen: NDArray[np.int64] = pick_corners(
         steepness,
         np.ascontiguousarray(occupied_px, np.float64).reshape(-1, 2),
         everywhere if mask is None else mask,
-        config.cell_px,
-        per_cell,
+        cell_px,
+        1,
         _BORDER_PX,
     )
     return chosen
@@ -65,7 +67,7 @@ def _threshold(steepness: NDArray[np.float32], config: SelectionConfig) -> NDArr
     import cv2
 
     height, width = steepness.shape
-    block = config.cell_px
+    block = config.block_px
     rows, columns = height // block, width // block
     if rows == 0 or columns == 0:
         return np.full(steepness.shape, np.median(steepness) + config.min_gradient, np.float32)

@@ -97,7 +97,8 @@ class DirectConfig:
 class StereoDirectOdometry:
     """Photometric tracking against keyframes with photometric bundle adjustment."""
 
-    requirements = Requirements(roles=_ROLES, rectified_pair=True, display=False)
+    # The 8-bit view is for people: the method itself compares the counts.
+    requirements = Requirements(roles=_ROLES, rectified_pair=True, display=True)
 
     def __init__(
         self,
@@ -199,7 +200,8 @@ class StereoDirectOdometry:
         pose = newest.moved(tracked.T_rig_world @ newest.T_world_rig, covariance)
         self._brightness = tracked.brightness
         window.note_tracking(tracked.points, tracked.seen, tracked.fits)
-        is_keyframe = len(frame.views) == 2 and self._keyframe_is_due(window, tracked)
+        both_eyes = all(pyramid is not None for pyramid in pyramids)
+        is_keyframe = both_eyes and self._keyframe_is_due(window, tracked)
         stats = TrackStats(
             features=len(tracked.points),
             matches=int(tracked.seen.sum()),

@@ -1,0 +1,106 @@
+"""What only a method that compares brightness must be asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermal_stereo_vo.core.config import with_overrides
+from thermal_stereo_vo.core.errors import CalibrationError
+from thermal_stereo_vo.core.frames import GapReason
+from thermal_stereo_vo.core.results import TrackingStatus
+from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
+
+PERIOD_NS = 100_000_000
+
+
+@pytest.fixture(scope="module")
+def flight(room):
+    rng = np.random.default_rng(11)
+    poses = room.path(9)
+    return [room.rig_frame(i * PERIOD_NS, T, rng) for i, T in enumerate(poses)], poses
+
+
+def direct(*settings):
+    return create_odometry(with_overrides(OdometryConfig(), ["method=direct", *settings]))
+
+
+def counts(frame, change):
+    """14-bit counts by ``change(role, grey levels)``."""
+    views = {}
+    for role, view in frame.views.items():
+        image = np.clip(change(role, view.image.astype(float)), 0, 16383).astype(np.uint16)
+        views[role] = replace(view, image=image)
+    return replace(frame, views=views)
+
+
+def error_m(result, T):
+    return float(np.linalg.norm(result.T_world_rig[:3, 3] - T[:3, 3]))
+
+
+def test_counts_that_jump_with_a_flat_field_correction_are_no_motion(flight):
+    """Each eye jumps by an amount of its own, ten times the contrast of the scene."""
+    frames, poses = flight
+
+    def before(role, grey):
+        return 4000 + 2.0 * grey
+
+    def after(role, grey):
+        return (7000 if role == "left" else 2500) + 2.2 * grey
+
+    odometry = direct()
+    results = [
+        odometry.process(counts(frame, before if i < 5 else after))
+        for i, frame in enumerate(frames)
+    ]
+    assert all(result.status is TrackingStatus.TRACKING for result in results[1:])
+    for result, T in zip(results, poses, strict=True):
+        assert error_m(result, T) < 0.05
+
+
+@pytest.mark.parametrize("blind", ["left", "right"])
+def test_either_eye_carries_on_alone(flight, blind):
+    """Measured, not predicted, while the other one is away."""
+    frames, poses = flight
+    odometry = direct()
+    for i, frame in enumerate(frames):
+        if 4 <= i < 7:
+            views = {role: view for role, view in frame.views.items() if role != blind}
+            frame = replace(frame, views=views, blind={blind: GapReason.FFC})
+        result = odometry.process(frame)
+        if i > 0:
+            assert result.status is TrackingStatus.TRACKING, i
+            assert result.stats.inliers > 100
+            assert error_m(result, poses[i]) < 0.05
+
+
+def test_the_window_pays(flight):
+    """More keyframes, adjusted together, are no worse than two."""
+    frames, poses = flight
+    ends = []
+    for window in (2, 7):
+        odometry = direct(f"window={window}", "direct.keyframes.parallax_px=1")
+        results = [odometry.process(frame) for frame in frames]
+        assert sum(result.stats.keyframe for result in results) >= 4
+        ends.append(error_m(results[-1], poses[-1]))
+    assert 1e-4 < ends[1] < 1.5 * ends[0] < 0.1
+
+
+def test_a_lens_that_bends_rays_is_refused(flight):
+    frames, _ = flight
+    views = {
+        role: replace(
+            view, camera=replace(view.camera, distortion=(0.1,) * 5, model=_radial()),
+        )
+        for role, view in frames[0].views.items()
+    }  # fmt: skip
+    with pytest.raises(CalibrationError, match="do not bend rays: rectify first"):
+        direct().process(replace(frames[0], views=views))
+
+
+def _radial():
+    from thermal_stereo_vo.core.cameras import DistortionModel
+
+    return DistortionModel.RADIAL_TANGENTIAL
