@@ -87,7 +87,7 @@ class DirectConfig:
     selection: SelectionConfig = group(SelectionConfig, "Which pixels become points.")
     keyframes: DirectKeyframeConfig = group(DirectKeyframeConfig, "When a frame is kept.")
     covariance_scale: float = setting(
-        4.0,
+        8.0,
         "Factor on covariances for what the residuals do not show.",
         minimum=0.01,
         maximum=1000.0,
