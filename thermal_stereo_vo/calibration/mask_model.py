@@ -3,8 +3,8 @@
 A mask of some millimetres shows the wall of each hole on the side away from the camera, neither as
 cold as the mask nor as warm as the panel behind.  The fitted edge then lies between front and back
 edge, at an effective depth behind the front; and warm edges make all holes a little wider.  Both
-numbers are the same in all views and are estimated with the cameras: without them a 6 mm mask
-costs half a percent of focal length.
+numbers are the same in all views and are estimated with the cameras: without them a drawn mask of
+6 mm costs 0.35 % of focal length and 4 % of a distance of 20 m.
 
 Where the wall of only one side shows at a corner, the fit of a corner with equal edges also errs
 along the other side, and where both show it errs along both, in proportion to the walls that are
