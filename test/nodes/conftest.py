@@ -27,8 +27,9 @@ from thermal_stereo_vo.core.cameras import (
 from thermal_stereo_vo.core.transforms import exp_se3
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PATIENCE_S = 600.0
+PATIENCE_S = 300.0
 """For a machine that compiles every kernel and has other work to do."""
+ASK_AGAIN_S = 10.0
 
 
 def raw_calibration(width: int = 320, height: int = 240) -> RigCalibration:
@@ -163,10 +164,21 @@ class Ros:
                 assert not fault, f"{name} ended while waiting for {what}\n{self.logs()}"
 
     def call(self, client: Any, request: Any) -> Any:
-        """The answer of a service."""
+        """The answer of a service, asked again when an answer is lost.
+
+        A server that has not yet found the client's end for answers drops what it says.
+        """
         self.spin_until(client.service_is_ready, f"service {client.srv_name}")
-        future = client.call_async(request)
-        self.spin_until(future.done, f"an answer of {client.srv_name}")
+        future, asked_s = client.call_async(request), time.monotonic()
+
+        def answered() -> bool:
+            nonlocal future, asked_s
+            if not future.done() and time.monotonic() - asked_s > ASK_AGAIN_S:
+                client.remove_pending_request(future)
+                future, asked_s = client.call_async(request), time.monotonic()
+            return bool(future.done())
+
+        self.spin_until(answered, f"an answer of {client.srv_name}")
         return future.result()
 
     def stop(self) -> None:
