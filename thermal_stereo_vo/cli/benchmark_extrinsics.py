@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from thermal_stereo_vo.cli.benchmark_flight_arguments import picture_cache
+from thermal_stereo_vo.cli.config_arguments import add_config_arguments, load_config
 from thermal_stereo_vo.cli.progress import progress
 
 
@@ -34,17 +35,18 @@ def add_extrinsics_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cache", metavar="DIR", help="folder that keeps the rendered pictures (default: none)"
     )
+    add_config_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
 def run_extrinsics(args: argparse.Namespace) -> int:
     """Print the report; returns the exit code."""
     from thermal_stereo_vo.benchmarks.extrinsics import extrinsics_report, measure_extrinsics
-    from thermal_stereo_vo.pipeline import Config
 
+    config = load_config(args)
     overrides = (f"flight.length_m={args.length}", f"render.scale={args.scale}")
     flights = 2 * len(args.flights) * len(args.yaw)
     with picture_cache(args) as cache, progress(flights, "flight", quiet=args.quiet) as step:
-        cells = list(measure_extrinsics(args.flights, args.yaw, overrides, Config(), cache, step))
+        cells = list(measure_extrinsics(args.flights, args.yaw, overrides, config, cache, step))
     print(extrinsics_report(cells))
     return 0
