@@ -74,9 +74,10 @@ def test_two_cameras_at_30_hz(start, eventually, pixel_format):
         messages = list(node.heard[f"{eye}/image_raw"])[5:]
         stamps = np.array(node.stamps(f"{eye}/image_raw")[5:])
         steps_ms = np.diff(stamps) * 1e-6
-        assert np.median(steps_ms) == pytest.approx(1000 / 30, rel=0.02), node.said()
-        # Not all: who listens shares the emulated processor, and may miss a few.
-        assert np.mean(steps_ms) == pytest.approx(1000 / 30, rel=0.15), node.said()
+        # The listener shares the emulated processor and may miss a few.
+        no_miss = steps_ms < 50
+        assert np.mean(no_miss) > 0.9, node.said()
+        assert np.mean(steps_ms[no_miss]) == pytest.approx(1000 / 30, rel=0.02), node.said()
         image = conversions.image_from_msg(messages[-1])
         assert messages[-1].encoding == {"Y16": "mono16", "GREY": "mono8"}[pixel_format]
         assert image.shape == (height, 640)
