@@ -95,17 +95,17 @@ def test_forgetting_changes_no_pose_and_keeps_covariances_positive(rng):
     T = path(rng, 5)
     fly(window, T[:4], [covariance(rng) for _ in range(4)])
     for slot in window.order[1:]:
-        window._relative_covariance[slot] = covariance(rng)
-    before = {slot: window._pose(slot) for slot in window.order[1:]}
+        window._poses._relative[slot] = covariance(rng)
+    before = {slot: window._poses._pose(slot) for slot in window.order[1:]}
     window._forget_oldest()
     assert window.order == list(before)
     for slot, was in before.items():
-        now = window._pose(slot)
+        now = window._poses._pose(slot)
         np.testing.assert_allclose(now.T_world_rig, was.T_world_rig, atol=1e-12)
         values = np.linalg.eigvalsh(now.covariance)
         assert values[0] > -1e-12 * values[-1]
     heir = window.order[0]
-    np.testing.assert_allclose(window._pose(heir).covariance, before[heir].covariance)
+    np.testing.assert_allclose(window._poses._pose(heir).covariance, before[heir].covariance)
 
 
 def test_points_go_with_their_host(rng):

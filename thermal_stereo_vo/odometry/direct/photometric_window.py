@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
-from thermal_stereo_vo.odometry.direct.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS, take_patches
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     PhotometricProblem,
@@ -17,6 +16,7 @@ from thermal_stereo_vo.odometry.direct.photometric_bundle import (
 )
 from thermal_stereo_vo.odometry.direct.rig import Rig
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS
+from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 MOST_MISSES = 3

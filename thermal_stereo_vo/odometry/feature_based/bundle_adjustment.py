@@ -158,6 +158,25 @@ def counts(component, camera_index, host, observation):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
+def pose_rows(row, R, p, b, rho, Jc, Jh):  # type: ignore[no-untyped-def]
+    """Write the (6,) derivatives of a pixel by the poses of the camera and of the point's host.
+
+    ``row`` (3,) is that by the point ``p`` = R b + rho t in the camera.
+    """
+    Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
+    Jc[3] = p[1] * row[2] - p[2] * row[1]
+    Jc[4] = p[2] * row[0] - p[0] * row[2]
+    Jc[5] = p[0] * row[1] - p[1] * row[0]
+    x = row[0] * R[0, 0] + row[1] * R[1, 0] + row[2] * R[2, 0]
+    y = row[0] * R[0, 1] + row[1] * R[1, 1] + row[2] * R[2, 1]
+    z = row[0] * R[0, 2] + row[1] * R[1, 2] + row[2] * R[2, 2]
+    Jh[0], Jh[1], Jh[2] = -rho * x, -rho * y, -rho * z
+    Jh[3] = -(b[1] * z - b[2] * y)
+    Jh[4] = -(b[2] * x - b[0] * z)
+    Jh[5] = -(b[0] * y - b[1] * x)
+
+
+@njit(cache=True, nogil=True)
 def linearise_bundle(  # type: ignore[no-untyped-def]
     T, rhos, hosts, bearings, observed, weights, eyes, width, A, g, W, h_rho, b_rho
 ):
@@ -171,7 +190,7 @@ def linearise_bundle(  # type: ignore[no-untyped-def]
     keyframes = len(T)
     R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
     row, q = np.empty(3), np.empty(3)
-    rotated, Jc, Jh = np.empty(3), np.empty(6), np.empty(6)
+    Jc, Jh = np.empty(6), np.empty(6)
     A[:] = 0.0
     g[:] = 0.0
     W[:] = 0.0
@@ -202,16 +221,7 @@ def linearise_bundle(  # type: ignore[no-untyped-def]
                 b_rho[n] += weight * j_rho * r
                 if c == h:
                     continue
-                Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
-                Jc[3] = p[1] * row[2] - p[2] * row[1]
-                Jc[4] = p[2] * row[0] - p[0] * row[2]
-                Jc[5] = p[0] * row[1] - p[1] * row[0]
-                for i in range(3):
-                    rotated[i] = row[0] * R[0, i] + row[1] * R[1, i] + row[2] * R[2, i]
-                Jh[0], Jh[1], Jh[2] = -rho * rotated[0], -rho * rotated[1], -rho * rotated[2]
-                Jh[3] = -(b[1] * rotated[2] - b[2] * rotated[1])
-                Jh[4] = -(b[2] * rotated[0] - b[0] * rotated[2])
-                Jh[5] = -(b[0] * rotated[1] - b[1] * rotated[0])
+                pose_rows(row, R, p, b, rho, Jc, Jh)
                 ci, hi = 6 * (c - 1), 6 * (h - 1)
                 for i in range(6):
                     if c > 0:
@@ -255,7 +265,7 @@ def turn_information(  # type: ignore[no-untyped-def]
     keyframes, free = len(T), len(g)
     R, t, p = np.empty((3, 3)), np.empty(3), np.empty(3)
     row, q = np.empty(3), np.empty(3)
-    J, Jc, Jh, rotated = np.empty(3), np.empty(6), np.empty(6), np.empty(3)
+    J, Jc, Jh = np.empty(3), np.empty(6), np.empty(6)
     cross, to_rho = np.zeros((3, free)), np.empty(3)
     D[:] = 0.0
     d[:] = 0.0
@@ -285,16 +295,7 @@ def turn_information(  # type: ignore[no-untyped-def]
                     D[i, m] += weight * J[i] * J[m]
             if c == h:
                 continue
-            Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
-            Jc[3] = p[1] * row[2] - p[2] * row[1]
-            Jc[4] = p[2] * row[0] - p[0] * row[2]
-            Jc[5] = p[0] * row[1] - p[1] * row[0]
-            for i in range(3):
-                rotated[i] = row[0] * R[0, i] + row[1] * R[1, i] + row[2] * R[2, i]
-            Jh[0], Jh[1], Jh[2] = -rho * rotated[0], -rho * rotated[1], -rho * rotated[2]
-            Jh[3] = -(b[1] * rotated[2] - b[2] * rotated[1])
-            Jh[4] = -(b[2] * rotated[0] - b[0] * rotated[2])
-            Jh[5] = -(b[0] * rotated[1] - b[1] * rotated[0])
+            pose_rows(row, R, p, b, rho, Jc, Jh)
             for i in range(3):
                 for m in range(6):
                     if c > 0:

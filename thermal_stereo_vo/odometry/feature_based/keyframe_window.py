@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.transforms import adjoint, inverse
+from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
     RHO_MIN,
     BundleProblem,
@@ -17,6 +17,7 @@ from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import KeyframeImages, Pyramid
 from thermal_stereo_vo.odometry.feature_based.inverse_depth import predict_pixels
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
+from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 BORDER_PX = 8.0
@@ -62,11 +63,8 @@ class KeyframeWindow:
         self.camera = camera
         self.right_turn_rad = np.zeros(3)
         """(3,) what is left of the extrinsics: the right eye sees a point p at p + turn x p."""
-        self._room = keyframes
+        self._poses = KeyframePoses(keyframes)
         self.images = KeyframeImages(keyframes, shape)
-        self.T_keyframe_world = np.tile(np.eye(4), (keyframes, 1, 1))
-        self.order: list[int] = []
-        """Slots, oldest keyframe first."""
         self._hosts = np.full(capacity, -1, np.int64)
         self._host_px = np.zeros((capacity, 2))
         self._rhos = np.zeros(capacity)
@@ -74,9 +72,6 @@ class KeyframeWindow:
         self._observed = np.full((keyframes, capacity, 4), np.nan)
         self._misses = np.zeros(capacity, np.int64)
         self._intensity = np.zeros(capacity, np.float32)
-        # The oldest keyframe is held fixed: its uncertainty is that of the world behind it.
-        self._oldest_covariance = np.zeros((6, 6))
-        self._relative_covariance: dict[int, NDArray[np.float64]] = {}
 
     @property
     def eyes(self) -> NDArray[np.float64]:
@@ -86,27 +81,27 @@ class KeyframeWindow:
     @property
     def newest(self) -> int:
         """Slot of the newest keyframe."""
-        return self.order[-1]
+        return self._poses.newest
+
+    @property
+    def order(self) -> list[int]:
+        """Slots, oldest keyframe first."""
+        return self._poses.order
+
+    @property
+    def T_keyframe_world(self) -> NDArray[np.float64]:
+        """(slots, 4, 4) poses of the keyframes."""
+        return self._poses.T_k_w
 
     def clear(self) -> None:
         """Forget all keyframes and points; the room stays."""
-        self.order.clear()
+        self._poses.clear()
         self._hosts[:] = -1
         self._observed[:] = np.nan
-        self._relative_covariance.clear()
 
     def newest_pose(self) -> PoseEstimate:
         """World pose of the newest keyframe with its covariance."""
-        return self._pose(self.newest)
-
-    def _pose(self, slot: int) -> PoseEstimate:
-        oldest = self.order[0]
-        T_world_oldest = inverse(self.T_keyframe_world[oldest])
-        start = PoseEstimate(T_world_oldest, self._oldest_covariance)
-        if slot == oldest:
-            return start
-        T_slot_oldest = self.T_keyframe_world[slot] @ T_world_oldest
-        return start.moved(T_slot_oldest, self._relative_covariance[slot])
+        return self._poses.newest_pose()
 
     def points(self) -> WindowPoints:
         """All points, sorted by host so that each relative pose is computed once."""
@@ -211,23 +206,11 @@ class KeyframeWindow:
         keyframe; the first has none but its own.  ``observed`` (N, 4) is where it saw ``points``.
         Returns the (M, 2) left pixels of those points that are still in the window.
         """
-        if len(self.order) == self._room:
+        if self._poses.is_full:
             self._forget_oldest()
-        slot = next(i for i in range(self._room) if i not in self.order)
-        if not self.order:
-            self._oldest_covariance = pose.covariance
-        elif len(self.order) == 1:
-            self._relative_covariance[slot] = relative_covariance
-        else:
-            # Until bundle adjustment knows better: newest keyframe, then the step from there.
-            T_slot_newest = inverse(pose.T_world_rig) @ inverse(self.T_keyframe_world[self.newest])
-            Ad = adjoint(T_slot_newest)
-            known = self._relative_covariance[self.newest]
-            self._relative_covariance[slot] = Ad @ known @ Ad.T + relative_covariance
-        self.T_keyframe_world[slot] = inverse(pose.T_world_rig)
+        slot = self._poses.append(pose, relative_covariance)
         self.images.store(slot, pyramid)
         self._observed[slot] = np.nan
-        self.order.append(slot)
         if points is None or observed is None:
             return np.zeros((0, 2))
         still = self._hosts[points.index] >= 0
@@ -266,7 +249,7 @@ class KeyframeWindow:
         """A copy of everything bundle adjustment needs, and the (N,) index of its points."""
         points = self.points()
         slots = np.array(self.order)
-        rank = np.zeros(self._room, np.int64)
+        rank = np.zeros(len(self.T_keyframe_world), np.int64)
         rank[slots] = np.arange(len(slots))
         observed = self._observed[slots][:, points.index]
         return (
@@ -287,12 +270,9 @@ class KeyframeWindow:
     ) -> None:
         """Take the refined poses and depths over; forget observations that do not fit."""
         slots = np.array(self.order)
-        self.T_keyframe_world[slots] = solution.T_k_w
+        self._poses.refine(solution.T_k_w, solution.covariance)
         self._rhos[index] = solution.rhos
         self._rho_information[index] = solution.rho_information
-        for i, slot in enumerate(self.order[1:]):
-            block = slice(6 * i, 6 * i + 6)
-            self._relative_covariance[slot] = solution.covariance[block, block]
         limit_px = outlier_sigmas * solution.sigma_px
         wrong = np.any(np.abs(solution.residuals) > limit_px, axis=2)
         for k, slot in enumerate(slots):
@@ -315,22 +295,9 @@ class KeyframeWindow:
         return np.asarray(in_sight)
 
     def _forget_oldest(self) -> None:
-        """The second oldest becomes the one held fixed, with the uncertainty it has by now."""
-        oldest, heir = self.order[0], self.order[1]
-        T_world_heir = inverse(self.T_keyframe_world[heir])
-        heir_given_oldest = self._relative_covariance[heir]
-        self._oldest_covariance = self._pose(heir).covariance
-        for slot in self.order[2:]:
-            # Relative to the heir instead of the oldest; correlations are left to the next
-            # adjustment, a difference of covariances would not stay positive.
-            Ad = adjoint(self.T_keyframe_world[slot] @ T_world_heir)
-            rest = self._relative_covariance[slot] - Ad @ heir_given_oldest @ Ad.T
-            self._relative_covariance[slot] = _positive(rest)
-        self.order.pop(0)
+        oldest = self._poses.drop_oldest()
         self._drop(np.flatnonzero(self._hosts == oldest))
         self._observed[oldest] = np.nan
-        self._relative_covariance.pop(oldest, None)
-        self._relative_covariance.pop(heir, None)
 
     def _drop(self, index: NDArray[np.int64]) -> None:
         self._hosts[index] = -1
@@ -351,9 +318,3 @@ class KeyframeWindow:
         x = (pixels[..., 0] - camera.cx) / camera.fx
         y = (pixels[..., 1] - camera.cy) / camera.fy
         return np.asarray(x * x + y * y)
-
-
-def _positive(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest symmetric matrix without negative eigenvalues."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
-from thermal_stereo_vo.odometry.direct.keyframe_poses import KeyframePoses
+from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 
