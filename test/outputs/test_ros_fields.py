@@ -221,6 +221,17 @@ def test_status_tells_counts_and_reason():
     assert values["detect_ms"] == "3.250"
 
 
+@pytest.mark.parametrize(("converged", "said"), [(False, "false"), (True, "true")])
+def test_status_tells_whether_an_unknown_scale_is_known(converged, said):
+    stats = TrackStats(scale_sigma=0.0312)
+    values = dict(status_fields(result(stats=stats, scale_converged=converged)).values)
+    assert (values["scale_converged"], values["scale_sigma"]) == (said, "0.0312")
+
+
+def test_status_is_silent_on_the_scale_of_a_method_without_that_unknown():
+    assert not {"scale_converged", "scale_sigma"} & dict(status_fields(result()).values).keys()
+
+
 def test_telemetry_survives_as_text():
     telemetry = Telemetry(
         fpa_temperature_kelvin=301.123456789,

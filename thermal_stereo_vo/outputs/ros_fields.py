@@ -276,6 +276,10 @@ def status_fields(result: OdometryResult, *, name: str = "odometry") -> Diagnost
         "zero_flow": str(stats.zero_flow),
         "keyframe": str(stats.keyframe).lower(),
     }
+    if result.scale_converged is not None:
+        values["scale_converged"] = str(result.scale_converged).lower()
+    if stats.scale_sigma is not None:
+        values["scale_sigma"] = f"{stats.scale_sigma:.4g}"
     values |= {f"{stage}_ms": f"{ms:.3f}" for stage, ms in stats.stage_ms.items()}
     return DiagnosticFields(
         stamp_ns=result.stamp_ns,
