@@ -2,8 +2,13 @@ import numpy as np
 import pytest
 
 from thermal_stereo_vo.calibration.checks import check_eyes, check_known_baseline, verify
-from thermal_stereo_vo.calibration.figures import epipolar_errors, fundamental, triangulated
-from thermal_stereo_vo.calibration.geometric import calibrate, pair_views
+from thermal_stereo_vo.calibration.figures import (
+    epipolar_errors,
+    fundamental,
+    pair_views,
+    triangulated,
+)
+from thermal_stereo_vo.calibration.geometric import calibrate
 from thermal_stereo_vo.calibration.targets import parse_target
 from thermal_stereo_vo.calibration.views import BoardShot
 from thermal_stereo_vo.core.cameras import RigCalibration, RigCamera

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thermal_stereo_vo.calibration.geometric import KnownLens, Settings, calibrate
+from thermal_stereo_vo.calibration.geometric import calibrate
 from thermal_stereo_vo.calibration.initial import half_turn
 from thermal_stereo_vo.calibration.lenses import Lens
+from thermal_stereo_vo.calibration.problem import KnownLens, Settings
 from thermal_stereo_vo.calibration.targets import parse_target
 from thermal_stereo_vo.calibration.views import BoardShot, BoardView
 from thermal_stereo_vo.core.errors import CalibrationError

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.calibration.initial import board_pose
 from thermal_stereo_vo.calibration.targets import Target
-from thermal_stereo_vo.calibration.views import BoardView
+from thermal_stereo_vo.calibration.views import BoardShot, BoardView
 from thermal_stereo_vo.core.cameras import Camera
 from thermal_stereo_vo.core.transforms import inverse, skew, transform_points
 
@@ -81,6 +81,21 @@ def paired(name: str, first: BoardView, second: BoardView) -> PairView | None:
     if len(ids) < 4:
         return None
     return PairView(name, ids, first.pixels[i], second.pixels[j])
+
+
+def pair_views(
+    shots: Sequence[BoardShot], roles: Sequence[str], indices: Sequence[int] | None = None
+) -> list[PairView]:
+    """What both cameras saw in each of the shots."""
+    chosen = range(len(shots)) if indices is None else indices
+    found = []
+    for v in chosen:
+        views = shots[v].views
+        if all(role in views for role in roles):
+            both = paired(shots[v].name, views[roles[0]], views[roles[1]])
+            if both is not None:
+                found.append(both)
+    return found
 
 
 def pixel_errors(residuals: Sequence[Array]) -> PixelErrors:
@@ -182,6 +197,33 @@ def stereo_errors(
         in_front=float(np.concatenate(front).mean()),
         points=int(sum(len(v.ids) for v in views)),
         views=len(views),
+    )
+
+
+def merged(parts: Sequence[StereoErrors]) -> StereoErrors | None:
+    """Means over folds weighted by points; root mean squares combine as such."""
+    if not parts:
+        return None
+    weights = np.array([p.points for p in parts], dtype=np.float64)
+    weights /= weights.sum()
+
+    def mean(name: str) -> float:
+        return float(weights @ [getattr(p, name) for p in parts])
+
+    def rms(name: str) -> float:
+        return float(np.sqrt(weights @ [getattr(p, name) ** 2 for p in parts]))
+
+    return StereoErrors(
+        epipolar_12_px=mean("epipolar_12_px"),
+        epipolar_21_px=mean("epipolar_21_px"),
+        spacing_error_percent=mean("spacing_error_percent"),
+        spacing_rms_m=rms("spacing_rms_m"),
+        plane_rms_m=rms("plane_rms_m"),
+        distance_error_percent=mean("distance_error_percent"),
+        yaw_error_rad=mean("yaw_error_rad"),
+        in_front=mean("in_front"),
+        points=sum(p.points for p in parts),
+        views=sum(p.views for p in parts),
     )
 
 

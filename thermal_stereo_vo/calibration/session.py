@@ -19,8 +19,9 @@ from thermal_stereo_vo.calibration.comparison import (
     column_of_result,
     truth_lines,
 )
+from thermal_stereo_vo.calibration.figures import pair_views
 from thermal_stereo_vo.calibration.gathering import Gathered, gather
-from thermal_stereo_vo.calibration.geometric import KnownLens, Settings, calibrate, pair_views
+from thermal_stereo_vo.calibration.geometric import calibrate
 from thermal_stereo_vo.calibration.image_sources import (
     ImageShot,
     Source,
@@ -28,6 +29,7 @@ from thermal_stereo_vo.calibration.image_sources import (
     simulated_truth,
 )
 from thermal_stereo_vo.calibration.lenses import Lens
+from thermal_stereo_vo.calibration.problem import KnownLens, Settings
 from thermal_stereo_vo.calibration.report import figure_lines, html_report
 from thermal_stereo_vo.calibration.result import CalibrationResult
 from thermal_stereo_vo.calibration.targets import Target
@@ -163,7 +165,7 @@ def _same_ends(
     gathered: Gathered, calibration: RigCalibration, roles: Sequence[str], target: Target
 ) -> list[Any]:
     """Pairs of views whose boards are numbered from the same end."""
-    from thermal_stereo_vo.calibration.geometric import with_same_ends
+    from thermal_stereo_vo.calibration.initial_rig import with_same_ends
 
     cameras = [calibration[role].camera for role in roles]
     shots = with_same_ends(gathered.shots, roles, cameras, target)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.calibration.bundle import ViewInformation, scaled_inverse
+from thermal_stereo_vo.calibration.bundle import Solution, ViewInformation, scaled_inverse
 
 Array = NDArray[np.float64]
 
@@ -89,6 +89,15 @@ def jackknife_covariance(
     centred = steps - steps.mean(0)
     count = len(views)
     return np.asarray((count - 1) / count * centred.T @ centred)
+
+
+def honest_covariance(solution: Solution) -> Array:
+    """The larger of two estimates: independent points, and the spread when views are left out."""
+    formal = solution.covariance
+    jackknife = jackknife_covariance(solution.information, solution.known)
+    ratio = np.diag(jackknife) / np.maximum(np.diag(formal), 1e-300)
+    stretch = np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(formal * np.outer(stretch, stretch))
 
 
 def coverage(pixels: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
