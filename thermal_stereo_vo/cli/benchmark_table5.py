@@ -26,8 +26,9 @@ def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what ``run_table5`` reads."""
     parser.description = (
         "Fly the simulated flights with several sets of sensors, by Gauss-Newton, "
-        "Levenberg-Marquardt and Double Dogleg frame to frame and by the windowed method; write "
-        "table5.md, .csv, .json and a picture of each flight.  What is finished is not flown again."
+        "Levenberg-Marquardt and Double Dogleg frame to frame, by the windowed and by the direct "
+        "method; write table5.md, .csv, .json and a picture of each flight.  What is finished is "
+        "not flown again."
     )
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR", help="folder for the report"
@@ -39,7 +40,10 @@ def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
         help="presets to fly (default seq1 to seq9)",
     )
     parser.add_argument(
-        "--methods", nargs="+", metavar="NAME", help="of GN, LM, DDL, windowed (default all)"
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        help="of GN, LM, DDL, windowed, direct (default all)",
     )
     parser.add_argument(
         "--seeds", type=int, default=3, metavar="N", help="sets of sensors (default 3)"

@@ -24,11 +24,13 @@ from thermal_stereo_vo.outputs.run_folder import to_json
 
 GAUSS_NEWTON, LEVENBERG_MARQUARDT, DOUBLE_DOGLEG = "GN", "LM", "DDL"
 WINDOWED = "windowed"
+DIRECT = "direct"
 METHODS = {
     GAUSS_NEWTON: ("odometry.window=0", "odometry.solver=gauss_newton"),
     LEVENBERG_MARQUARDT: ("odometry.window=0", "odometry.solver=levenberg_marquardt"),
     DOUBLE_DOGLEG: ("odometry.window=0", "odometry.solver=double_dogleg"),
     WINDOWED: (),
+    DIRECT: ("odometry.method=direct",),
 }
 """Method -> the settings that make it."""
 

@@ -18,10 +18,10 @@ from thermal_stereo_vo.outputs.replacing import replacing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito again; blue, red and green as in the paper, and one more.
-COLOURS = dict(zip(METHODS, ("#0072B2", "#D55E00", "#009E73", "#CC79A7"), strict=True))
+# Okabe and Ito again; blue, red and green as in the paper, and two more.
+COLOURS = dict(zip(METHODS, ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00"), strict=True))
 # The solvers lie upon each other: the lower ones show at the sides of the upper ones.
-WIDTHS = dict(zip(METHODS, (4.0, 2.5, 1.2, 2.0), strict=True))
+WIDTHS = dict(zip(METHODS, (4.0, 2.5, 1.2, 2.0, 1.2), strict=True))
 
 
 def plot_flight(path: Path, flight: str, cells: Sequence[Cell]) -> None:
