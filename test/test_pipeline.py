@@ -192,6 +192,15 @@ def test_reset_goes_on_from_the_pose_at_any_stamp(room, raws):
         np.testing.assert_allclose(b.T_world_rig, T_start @ a.T_world_rig, atol=1e-6)
 
 
+def test_a_method_that_needs_other_cameras_is_refused_with_those_it_needs(room):
+    eyes = room.calibration()
+    bands = replace(eyes, cameras={"visible": eyes["left"], "thermal": eyes["right"]}, origin="x")
+    with pytest.raises(
+        CalibrationError, match="'feature' needs the cameras left and right, but x has visible, th"
+    ):
+        Pipeline(CONFIG, bands)
+
+
 def test_a_rig_no_method_can_use_is_refused_before_any_frame(room):
     one_place = RigCalibration(
         {"left": RigCamera(room.camera), "right": RigCamera(room.camera)}, origin="rig.yaml"

@@ -1,6 +1,8 @@
 """The way of a frame: the stages in order, one object for replay and for the onboard node.
 
 RawFrame -> front end -> pairer -> rectifier -> 8-bit view -> odometry -> observers
+
+What the method requires decides between rectified eyes and cameras undistorted one by one.
 """
 
 from __future__ import annotations
@@ -13,18 +15,30 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import group
-from thermal_stereo_vo.core.errors import FrameError
+from thermal_stereo_vo.core.errors import CalibrationError, FrameError
 from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame, RigFrame
 from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.results import OdometryResult
 from thermal_stereo_vo.observers import Observer, ObserverList, StageTimer
-from thermal_stereo_vo.odometry.factory import OdometryConfig, create_gyro, create_odometry
+from thermal_stereo_vo.odometry.factory import (
+    OdometryConfig,
+    create_gyro,
+    create_odometry,
+    methods_for,
+    requirements_of,
+)
 from thermal_stereo_vo.radiometry.agc import AgcConfig, AutomaticGain
-from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, ThermalFrontEnd
+from thermal_stereo_vo.radiometry.front_end import FrontEndConfig, create_front_end
 from thermal_stereo_vo.radiometry.thermometer import ThermometerConfig
 from thermal_stereo_vo.stereo.dense import DenseConfig
 from thermal_stereo_vo.stereo.pairing import Pair, PairingConfig, StereoPairer
-from thermal_stereo_vo.stereo.rectification import RectificationConfig, Rectifier, assemble
+from thermal_stereo_vo.stereo.rectification import (
+    RectificationConfig,
+    Rectifier,
+    RigRectifier,
+    assemble,
+)
+from thermal_stereo_vo.stereo.undistortion import Undistorter
 
 
 @dataclass(frozen=True)
@@ -40,6 +54,25 @@ class Config:
     thermometer: ThermometerConfig = group(ThermometerConfig, "Temperatures of dense clouds.")
 
 
+def rig_rectifier(config: Config, calibration: RigCalibration) -> RigRectifier:
+    """What turns raw images of this rig into those that the method of the settings works on.
+
+    Raises CalibrationError for a rig that lacks a camera the method needs, or that cannot be
+    rectified.
+    """
+    needed = requirements_of(config.odometry)
+    if not set(needed.roles) <= set(calibration.cameras):
+        fitting = methods_for(calibration.cameras)
+        raise CalibrationError(
+            f"the method '{config.odometry.method}' needs the cameras {' and '.join(needed.roles)},"
+            f" but {calibration.origin or 'the calibration'} has {', '.join(calibration.cameras)}: "
+            + (f"choose --method {' or '.join(fitting)}" if fitting else "give another calibration")
+        )
+    if needed.rectified_pair:
+        return Rectifier(calibration, config.rectification)
+    return Undistorter(calibration, needed.roles, config.rectification.alpha)
+
+
 class Pipeline:
     """Strings the stages together.  Close it, also after an error, so that files are finished."""
 
@@ -50,14 +83,14 @@ class Pipeline:
         observers: Sequence[Observer] = (),
     ) -> None:
         self._config = config
-        self.rectifier = Rectifier(calibration, config.rectification)
+        self.rectifier = rig_rectifier(config, calibration)
         R_rig_imu = self.rectifier.rectified_calibration.R_rig_imu
         self.gyro = create_gyro(config.odometry, R_rig_imu)
         self.odometry = create_odometry(config.odometry, self.gyro)
         self._roles = self.odometry.requirements.roles
         self._observers = ObserverList(observers)
         self.front_ends = {
-            role: ThermalFrontEnd(config.front_end, role, self._observers.on_gate_event)
+            role: create_front_end(config.front_end, role, self._observers.on_gate_event)
             for role in self._roles
         }
         self._pairer: StereoPairer[RadiometricFrame] = StereoPairer(config.pairing)
@@ -66,7 +99,8 @@ class Pipeline:
 
     def warm_up(self) -> None:
         """Compile or load every kernel before the first frame."""
-        next(iter(self.front_ends.values())).warm_up()
+        for front_end in self.front_ends.values():
+            front_end.warm_up()
         self._gain.warm_up()
         self.odometry.warm_up()
 

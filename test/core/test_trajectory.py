@@ -87,3 +87,23 @@ def test_only_estimated_poses_make_a_trajectory(letters, kept):
     trajectory = estimated_trajectory(results_of(letters))
     np.testing.assert_array_equal(trajectory.stamps_ns, [10 * i for i in kept])
     np.testing.assert_array_equal(trajectory.positions_m[:, 0], kept)
+
+
+def scaled_results(converged):
+    pose = np.eye(4)
+    return [
+        OdometryResult(i, TrackingStatus.TRACKING, pose, np.eye(6), scale_converged=known)
+        for i, known in enumerate(converged)
+    ]
+
+
+def test_only_metric_poses_count_once_the_scale_is_known():
+    found = estimated_trajectory(scaled_results([False, False, True, True, False, True]))
+    assert found.stamps_ns.tolist() == [2, 3, 5]
+
+
+def test_a_run_that_never_finds_its_scale_keeps_its_poses():
+    results = scaled_results([False, False, False])
+    assert estimated_trajectory(results).stamps_ns.tolist() == [0, 1, 2]
+    assert not any(result.is_metric for result in results)
+    assert OdometryResult(0, TrackingStatus.TRACKING, np.eye(4), np.eye(6)).is_metric

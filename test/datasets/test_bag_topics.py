@@ -147,3 +147,27 @@ def test_truth_is_found_by_name_only():
     assert choose_truth_topic(["/odom"], "odom") == "/odom"
     with pytest.raises(DatasetError, match=r"no pose topic '/gps' \(pose topics there: /odom\)"):
         choose_truth_topic(["/odom"], "/gps")
+
+
+BANDS = ["/rig/colour", "/rig/heat", "/thermal/image_raw"]
+
+
+def test_cameras_of_two_bands_are_those_asked_for():
+    named, reason = choose_image_topics(BANDS, visible="rig/colour", thermal="/rig/heat")
+    assert named == {"visible": "/rig/colour", "thermal": "/rig/heat"}
+    assert reason == "/rig/colour and /rig/heat were asked for"
+    assert choose_image_topics(BANDS, visible="/rig/colour")[0]["thermal"] == "/thermal/image_raw"
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"visible": "/rig/color", "thermal": "/rig/heat"}, "correct --visible-topic"),
+        ({"thermal": "/rig/heat"}, r"no image topic '/visible/image_raw'.*--visible-topic"),
+        ({"visible": "/rig/heat", "thermal": "/rig/heat"}, "name two different topics"),
+        ({"visible": "/rig/colour", "left": "/rig/heat"}, "either left and right or visible"),
+    ],
+)
+def test_cameras_of_two_bands_that_are_not_there_are_refused(asked, message):
+    with pytest.raises(DatasetError, match=message):
+        choose_image_topics(BANDS, **asked)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,17 @@ def test_round_trip_bit_for_bit(tmp_path, rng, write, read, warm, n):
         np.testing.assert_array_equal(again.temperature_kelvin, cloud.temperature_kelvin)
     else:
         assert again.temperature_kelvin is None
+
+
+@pytest.mark.parametrize(("write", "read"), FORMATS)
+def test_points_of_two_bands_keep_what_each_saw(tmp_path, rng, write, read):
+    cloud = random_cloud(rng, 5, warm=False)
+    counts = np.array([7000, np.nan, 7100.5, 0, 16383], np.float32)
+    cloud.intensity[3] = np.nan
+    write(tmp_path / "cloud", replace(cloud, thermal_counts=counts))
+    again = read(tmp_path / "cloud")
+    np.testing.assert_array_equal(again.thermal_counts, counts)
+    np.testing.assert_array_equal(again.intensity, cloud.intensity)
 
 
 def test_ply_is_what_the_format_demands(tmp_path):

@@ -186,6 +186,16 @@ def test_point_cloud_bytes_are_little_endian_xyz_intensity():
     assert fields.data.tobytes() == struct.pack("<8f", 1, 2, 3, 10, 4, 5, 6, 12)
 
 
+def test_a_point_of_one_band_is_kept_with_the_other_unknown():
+    xyz = np.array([[1, 2, 3], [4, np.nan, 6], [7, 8, 9]], np.float32)
+    visible = np.array([10, 11, np.nan], np.float32)
+    thermal = np.array([np.nan, 7000, 7100], np.float32)
+    fields = point_cloud_fields(5, PointCloud(xyz, visible, thermal_counts=thermal), np.eye(4))
+    assert fields.names == ("x", "y", "z", "intensity", "thermal")
+    rows = fields.data.view("<f4").reshape(-1, 5)
+    np.testing.assert_array_equal(rows, [[1, 2, 3, 10, np.nan], [7, 8, 9, np.nan, 7100]])
+
+
 def test_an_empty_cloud_packs_to_nothing():
     fields = point_cloud_fields(5, PointCloud.empty(), default_T_base_rig())
     assert (fields.width, len(fields.data)) == (0, 0)

@@ -186,7 +186,7 @@ def test_observer_writes_all_files_on_close_and_nothing_before(tmp_path, rng):
     assert stamps_ns.tolist() == poses.stamps_ns.tolist() == files.frame_stamps_ns.tolist()
     lines = (tmp_path / "frames.csv").read_text().splitlines()
     assert len(lines) == 5
-    assert lines[2].startswith(f'{poses.stamps_ns[1]},LOST,0,7,5,3,0.0000,"too few points')
+    assert lines[2].startswith(f'{poses.stamps_ns[1]},LOST,0,7,5,3,0.0000,,"too few points')
     assert files.status_counts[TrackingStatus.LOST] == 1
     assert files.status_counts[TrackingStatus.TRACKING] == 3
     assert len(files.trajectory) == 3

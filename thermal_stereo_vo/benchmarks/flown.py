@@ -14,9 +14,8 @@ from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
 from thermal_stereo_vo.evaluation.association import compare
 from thermal_stereo_vo.evaluation.metrics import Metrics, measure
-from thermal_stereo_vo.pipeline import Config
+from thermal_stereo_vo.pipeline import Config, rig_rectifier
 from thermal_stereo_vo.replay import replay
-from thermal_stereo_vo.stereo.rectification import Rectifier
 
 if TYPE_CHECKING:
     from thermal_stereo_vo.datasets.simulated import SimulatedDataset
@@ -60,7 +59,7 @@ def fly(
     calibration = calibration or dataset.calibration()
     results = replay(dataset, calibration, config).results
     truth = dataset.ground_truth()
-    T_rig_rectified = Rectifier(calibration, config.rectification).T_rig_rectified
+    T_rig_rectified = rig_rectifier(config, calibration).T_rig_rectified
     truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ T_rig_rectified)
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     comparison = compare(estimated_trajectory(results), truth, frame_stamps_ns=stamps_ns)

@@ -43,13 +43,13 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
     from thermal_stereo_vo.outputs.snapshot import Snapshot
     from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
+    from thermal_stereo_vo.pipeline import rig_rectifier
     from thermal_stereo_vo.replay import replay
-    from thermal_stereo_vo.stereo.rectification import Rectifier
 
     config = load_config(args)
     dataset, reason = open_dataset(args.source, source_options(args, simulation_overrides(args)))
     calibration = require_calibration(dataset)
-    rectifier = Rectifier(calibration, config.rectification)
+    rectifier = rig_rectifier(config, calibration)
     T_base_rig = rectifier.rectified_calibration.T_base_rig
     given = None
     if args.ground_truth is not None:
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         if given is not None:
             truth = given.for_frames(files.frame_stamps_ns).trajectory
         if truth is not None:
-            # The result is the rectified left camera; so must be what it is compared with.
+            # Results speak of the rectified rig; so must be what they are compared with.
             truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ rectifier.T_rig_rectified)
             metrics = evaluate(files.trajectory, truth, frame_stamps_ns=files.frame_stamps_ns)
             folder.write_json("metrics.json", metrics.as_dict())

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 SOURCE_HELP = (
     "a rosbag (ROS 1 .bag, ROS 2 folder, .mcap or .db3), a KITTI or EuRoC folder, a folder with "
-    "left/ and right/, or sim:PRESET"
+    "left/ and right/ or visible/ and thermal/, or sim:PRESET"
 )
 
 
@@ -30,6 +30,8 @@ def add_source_arguments(parser: argparse.ArgumentParser, default: str | None = 
     )
     parser.add_argument("--left-topic", metavar="TOPIC", help="image topic of the left eye")
     parser.add_argument("--right-topic", metavar="TOPIC", help="image topic of the right eye")
+    parser.add_argument("--visible-topic", metavar="TOPIC", help="images of a visible camera, and")
+    parser.add_argument("--thermal-topic", metavar="TOPIC", help="of a thermal one beside it")
     parser.add_argument(
         "--imu-topic", metavar="TOPIC", help="inertial topic in a bag, for odometry.gyro.enabled"
     )
@@ -53,6 +55,8 @@ def source_options(args: argparse.Namespace, overrides: tuple[str, ...] = ()) ->
     return SourceOptions(
         left_topic=args.left_topic,
         right_topic=args.right_topic,
+        visible_topic=args.visible_topic,
+        thermal_topic=args.thermal_topic,
         imu_topic=args.imu_topic,
         ground_truth_topic=args.ground_truth_topic,
         calibration=args.calibration,

@@ -35,6 +35,8 @@ class GapReason(Enum):
     DROPPED = "dropped"
     CORRUPT = "corrupt"
     FAULT = "fault"
+    DARK = "dark"
+    GLARE = "glare"
 
 
 @dataclass(frozen=True)

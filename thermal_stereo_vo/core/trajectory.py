@@ -58,12 +58,14 @@ def estimated_trajectory(results: Sequence[OdometryResult]) -> Trajectory:
     """The poses of results in order of their stamps; frames that have none are left out.
 
     It begins with the last frame of the start: before that one nothing was measured, and the pose
-    that stands there is no estimate.
+    that stands there is no estimate.  Where the scale converged on the way, only metric poses are
+    left; where it never did, all are, in their arbitrary unit.
     """
+    metric_only = any(result.scale_converged for result in results)
     posed = [
         (result.stamp_ns, result.T_world_rig)
         for result in results[start_index(results) :]
-        if result.T_world_rig is not None
+        if result.T_world_rig is not None and (result.is_metric or not metric_only)
     ]
     stamps_ns = np.array([stamp_ns for stamp_ns, _ in posed], np.int64)
     poses = np.array([T_world_rig for _, T_world_rig in posed], np.float64)

@@ -21,7 +21,11 @@ _TRUTH_WORDS = ("ground_truth", "groundtruth")
 
 
 def choose_image_topics(
-    topics: Sequence[str], left: str | None = None, right: str | None = None
+    topics: Sequence[str],
+    left: str | None = None,
+    right: str | None = None,
+    visible: str | None = None,
+    thermal: str | None = None,
 ) -> tuple[dict[str, str], str]:
     """Role -> topic among the image ``topics``, and why.
 
@@ -34,6 +38,13 @@ def choose_image_topics(
 
     Raises DatasetError that lists the image topics there are.
     """
+    if visible is not None or thermal is not None:
+        if left is not None or right is not None:
+            raise DatasetError(
+                "a rig has either left and right or visible and thermal cameras: name the topics "
+                "of one such pair"
+            )
+        return _two_bands(topics, visible, thermal)
     if left is not None or right is not None:
         return _named(topics, left, right)
     for first, second in _DEFAULTS:
@@ -130,6 +141,23 @@ def _named(
         raise DatasetError(f"both eyes are '{found[LEFT]}': name two different topics")
     reason = f"{found[LEFT]} and {found[RIGHT]} were asked for"
     return {LEFT: found[LEFT], RIGHT: found[RIGHT]}, reason
+
+
+def _two_bands(
+    topics: Sequence[str], visible: str | None, thermal: str | None
+) -> tuple[dict[str, str], str]:
+    found: dict[str, str] = {}
+    for role, wanted in ((VISIBLE, visible), (THERMAL, thermal)):
+        name = f"/{role}/image_raw" if wanted is None else wanted
+        topic = _find(topics, name)
+        if topic is None:
+            raise DatasetError(
+                f"the bag has no image topic '{name}' {_list(topics)}: correct --{role}-topic"
+            )
+        found[role] = topic
+    if found[VISIBLE] == found[THERMAL]:
+        raise DatasetError(f"both cameras are '{found[VISIBLE]}': name two different topics")
+    return found, f"{found[VISIBLE]} and {found[THERMAL]} were asked for"
 
 
 def _pairs(topics: Sequence[str]) -> list[tuple[str, str]]:

@@ -1,4 +1,7 @@
-"""Two folders of images, ``left`` and ``right``, named by stamp or just numbered."""
+"""Two folders of images, ``left`` and ``right`` or ``visible`` and ``thermal``.
+
+Files are named by stamp or just numbered.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import re
 from pathlib import Path
 
 from thermal_stereo_vo.core.calibration_files import find_calibration, load_calibration
-from thermal_stereo_vo.core.cameras import LEFT, RIGHT
+from thermal_stereo_vo.core.cameras import LEFT, RIGHT, THERMAL, VISIBLE
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.datasets.image_files import (
     ImageFile,
@@ -20,12 +23,17 @@ _NANOSECOND_DIGITS = 16
 """Whole numbers this long are stamps in nanoseconds (after 1970-04-26); shorter ones count."""
 
 
-def is_image_pair(folder: Path) -> bool:
-    """Whether ``folder`` holds ``left`` and ``right``."""
-    return (folder / LEFT).is_dir() and (folder / RIGHT).is_dir()
+def image_pair(folder: Path) -> tuple[str, str] | None:
+    """The roles that ``folder`` holds folders of, or None."""
+    for pair in ((LEFT, RIGHT), (VISIBLE, THERMAL)):
+        if all((folder / role).is_dir() for role in pair):
+            return pair
+    return None
 
 
-def open_image_pair(folder: Path, options: SourceOptions) -> ImageFileDataset:
+def open_image_pair(
+    folder: Path, pair: tuple[str, str], options: SourceOptions
+) -> ImageFileDataset:
     """The pair below ``folder``, with a calibration file beside the two folders if there is one.
 
     Stamps come from ``options.rate_hz`` and the place in the folder; without a rate from the file
@@ -33,11 +41,11 @@ def open_image_pair(folder: Path, options: SourceOptions) -> ImageFileDataset:
 
     Raises DatasetError when names are no stamps and no rate is given.
     """
-    files = {eye: _stamped(list_images(folder / eye), options.rate_hz) for eye in (LEFT, RIGHT)}
+    files = {role: _stamped(list_images(folder / role), options.rate_hz) for role in pair}
     path = options.calibration or find_calibration(folder)
     calibration = None
     if path is not None:
-        height, width = read_grey(files[LEFT][0].path).shape
+        height, width = read_grey(files[pair[0]][0].path).shape
         calibration = load_calibration(path, (width, height))
     return ImageFileDataset(folder.resolve().name, files, calibration)
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.frames import Image, RawFrame
 from thermal_stereo_vo.core.trajectory import Trajectory
@@ -34,8 +34,8 @@ class ImageFileDataset:
 
     ``cameras`` maps role to files; the order of roles is the order at equal stamps.
 
-    Raises DatasetError when a camera has no images, stamps do not increase strictly, or the cameras
-    of a pair differ in image size.
+    Raises DatasetError when a camera has no images, stamps do not increase strictly, or left and
+    right differ in image size.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ImageFileDataset:
         self._calibration = calibration
         self._ground_truth = ground_truth
         check_order(self._files)
-        self.image_size = check_sizes(self._files)
+        self._sizes = check_sizes(self._files)
 
     def calibration(self) -> RigCalibration | None:
         """The calibration that was found, or None."""
@@ -71,10 +71,11 @@ class ImageFileDataset:
         for image, role in heapq.merge(*streams, key=lambda entry: entry[0].stamp_ns):
             pixels = read_grey(image.path)
             size = (pixels.shape[1], pixels.shape[0])
-            if size != self.image_size:
+            if size != self._sizes[role]:
+                before = "x".join(str(side) for side in self._sizes[role])
                 raise DatasetError(
                     f"{image.path} is {size[0]}x{size[1]} pixels, but the recording began with "
-                    f"{self.image_size[0]}x{self.image_size[1]}: all images must have one size"
+                    f"{before}: all images of a camera must have one size"
                 )
             yield RawFrame(pixels, image.stamp_ns, role, image.sequence)
 
@@ -150,16 +151,16 @@ def to_grey(image: Image, origin: str, *, rgb: bool = False) -> Image:
     return np.ascontiguousarray(image)
 
 
-def check_sizes(files: Mapping[str, Sequence[ImageFile]]) -> tuple[int, int]:
-    """The (width, height) of the first image of every camera, which must agree."""
+def check_sizes(files: Mapping[str, Sequence[ImageFile]]) -> dict[str, tuple[int, int]]:
+    """The (width, height) of the first image of every camera; left and right must agree."""
     sizes = {}
     for role, images in files.items():
         height, width = read_grey(images[0].path).shape
         sizes[role] = (width, height)
-    if len(set(sizes.values())) > 1:
+    if set(sizes) == {LEFT, RIGHT} and sizes[LEFT] != sizes[RIGHT]:
         told = " and ".join(f"{role} is {w}x{h}" for role, (w, h) in sizes.items())
         raise DatasetError(f"the images differ in size: {told} pixels; both eyes must be alike")
-    return next(iter(sizes.values()))
+    return sizes
 
 
 def _is_cut_short(data: NDArray[np.uint8]) -> bool:

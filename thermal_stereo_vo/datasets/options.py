@@ -12,7 +12,8 @@ from thermal_stereo_vo.core.errors import DatasetError
 class SourceOptions:
     """Wishes about a recording; each reader heeds those that concern it.
 
-    ``left_topic``, ``right_topic``, ``imu_topic`` and ``ground_truth_topic`` name topics of a bag.
+    ``left_topic`` and ``right_topic``, or ``visible_topic`` and ``thermal_topic``, then
+    ``imu_topic`` and ``ground_truth_topic`` name topics of a bag.
     ``calibration`` replaces the calibration that travels with the recording.  ``rate_hz`` gives
     stamps to images that have none, and the frame rate of a simulated run.  ``length_m``, ``seed``
     and ``overrides`` (``key=value`` texts) shape a simulated run.
@@ -22,6 +23,8 @@ class SourceOptions:
 
     left_topic: str | None = None
     right_topic: str | None = None
+    visible_topic: str | None = None
+    thermal_topic: str | None = None
     imu_topic: str | None = None
     ground_truth_topic: str | None = None
     calibration: Path | None = None

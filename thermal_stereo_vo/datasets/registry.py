@@ -18,8 +18,9 @@ BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 def open_dataset(source: str | Path, options: SourceOptions | None = None) -> tuple[Dataset, str]:
     """Open a recording or a simulated run, and say in words why it was taken for what.
 
-    ``source`` is a folder (KITTI odometry, KITTI raw, EuRoC, ``left`` + ``right``, ROS 2 bag), a
-    bag file (``.bag``, ``.db3``, ``.mcap``) or ``sim:PRESET``.
+    ``source`` is a folder (KITTI odometry, KITTI raw, EuRoC, ``left`` + ``right``,
+    ``visible`` + ``thermal``, ROS 2 bag), a bag file (``.bag``, ``.db3``, ``.mcap``) or
+    ``sim:PRESET``.
 
     Raises DatasetError or CalibrationError that say what was wrong and what to do.
     """
@@ -69,8 +70,10 @@ def _open_folder(path: Path, options: SourceOptions) -> tuple[Dataset, str]:
     root = euroc.euroc_root(path)
     if root is not None:
         return euroc.open_euroc(root, options), "EuRoC recording: it has cam0 and cam1"
-    if folder.is_image_pair(path):
-        return folder.open_image_pair(path, options), "pair of image folders: it has left and right"
+    pair = folder.image_pair(path)
+    if pair is not None:
+        reason = f"pair of image folders: it has {pair[0]} and {pair[1]}"
+        return folder.open_image_pair(path, pair, options), reason
     bags = [p for suffix in BAG_SUFFIXES for p in sorted(path.glob(f"*{suffix}"))]
     if bags or (path / "metadata.yaml").is_file():
         return _open_bag(path, options)
@@ -78,8 +81,8 @@ def _open_folder(path: Path, options: SourceOptions) -> tuple[Dataset, str]:
         raise DatasetError(f"the folder {path} is empty: give the folder of a recording")
     raise DatasetError(
         f"{path} is no recording known here: looked for image_0 + image_1, image_l + image_r, "
-        "image_00 + image_01 (KITTI), cam0 + cam1 (EuRoC), left + right (images) and "
-        "metadata.yaml (ROS 2 bag)"
+        "image_00 + image_01 (KITTI), cam0 + cam1 (EuRoC), left + right or visible + "
+        "thermal (images) and metadata.yaml (ROS 2 bag)"
     )
 
 

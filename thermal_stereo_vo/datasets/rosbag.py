@@ -64,7 +64,11 @@ class RosbagDataset:
             kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount > 0}
             images = [topic for topic, kind in kinds.items() if kind in IMAGE_TYPES]
             self.topics, self.reason = choose_image_topics(
-                images, options.left_topic, options.right_topic
+                images,
+                options.left_topic,
+                options.right_topic,
+                options.visible_topic,
+                options.thermal_topic,
             )
             self.cameras = tuple(self.topics)
             self._count = reader.topics[self.topics[self.cameras[0]]].msgcount
@@ -76,7 +80,7 @@ class RosbagDataset:
                 [topic for topic, kind in kinds.items() if kind in POSE_TYPES],
                 options.ground_truth_topic,
             )
-            self.image_size = self._check_sizes(reader)
+            self.image_sizes = self._check_sizes(reader)
             self._calibration = self._find_calibration(reader, kinds, options)
 
     def calibration(self) -> RigCalibration | None:
@@ -132,32 +136,34 @@ class RosbagDataset:
                 last_ns = stamp_ns
                 image = image_of(message, kind, topic)
                 size = (image.shape[1], image.shape[0])
-                if size != self.image_size:
+                if size != self.image_sizes[role]:
+                    before = "x".join(str(side) for side in self.image_sizes[role])
                     raise DatasetError(
                         f"image {sequence} of {topic} is {size[0]}x{size[1]} pixels, but the bag "
-                        f"began with {self.image_size[0]}x{self.image_size[1]}: cut the bag there"
+                        f"began with {before}: cut the bag there"
                     )
                 yield RawFrame(image, stamp_ns, role, sequence, telemetry.at(stamp_ns))
 
-    def _check_sizes(self, reader: AnyReader) -> tuple[int, int]:
+    def _check_sizes(self, reader: AnyReader) -> dict[str, tuple[int, int]]:
+        """(width, height) of each camera; the eyes of a stereo pair must be alike."""
         sizes = {}
-        for topic in self.topics.values():
+        for role, topic in self.topics.items():
             kind, _, message = next(read_messages(reader, [topic], self._path))
             height, width = image_of(message, kind, topic).shape
-            sizes[topic] = (width, height)
-        if len(set(sizes.values())) > 1:
-            told = " and ".join(f"{topic} is {w}x{h}" for topic, (w, h) in sizes.items())
+            sizes[role] = (width, height)
+        if set(sizes) == {LEFT, RIGHT} and sizes[LEFT] != sizes[RIGHT]:
+            told = " and ".join(f"{self.topics[eye]} is {w}x{h}" for eye, (w, h) in sizes.items())
             raise DatasetError(
                 f"the images of {self._path} differ in size: {told} pixels; both eyes must be "
                 "alike (choose others with --left-topic and --right-topic)"
             )
-        return next(iter(sizes.values()))
+        return sizes
 
     def _find_calibration(
         self, reader: AnyReader, kinds: Mapping[str, str], options: SourceOptions
     ) -> RigCalibration | None:
         if options.calibration is not None:
-            return load_calibration(options.calibration, self.image_size)
+            return load_calibration(options.calibration, self.image_sizes[self.cameras[0]])
         if (self._path / RIG_FILE).is_file():
             return load_calibration(self._path / RIG_FILE)
         infos: dict[str, CameraInfoFields] = {}

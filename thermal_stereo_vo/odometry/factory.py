@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureCon
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedConfig, WindowedOdometry
 from thermal_stereo_vo.odometry.gyro import GyroConfig, GyroIntegrator
-from thermal_stereo_vo.odometry.interface import Odometry
+from thermal_stereo_vo.odometry.interface import Odometry, Requirements
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
 
@@ -42,6 +43,21 @@ class OdometryConfig:
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
     direct: DirectConfig = group(DirectConfig, "Direct odometry.")
+
+
+def requirements_of(config: OdometryConfig) -> Requirements:
+    """What the method that the settings name asks of its frames."""
+    if config.method == "direct":
+        return StereoDirectOdometry.requirements
+    return (
+        FrameToFrameOdometry.requirements if config.window == 0 else WindowedOdometry.requirements
+    )
+
+
+def methods_for(roles: Collection[str]) -> tuple[str, ...]:
+    """The methods that can work with the cameras in ``roles``."""
+    needed = {method: requirements_of(OdometryConfig(method=method)).roles for method in METHODS}
+    return tuple(method for method in METHODS if set(needed[method]) <= set(roles))
 
 
 def create_gyro(config: OdometryConfig, R_rig_imu: NDArray[np.float64]) -> GyroIntegrator | None:

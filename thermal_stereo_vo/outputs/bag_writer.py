@@ -346,8 +346,8 @@ class BagWriter:
 class ResultBag(Observer):
     """What the odometry node would publish, as a bag: ``/odom``, ``/points`` and ``/status``.
 
-    While LOST only ``/status`` is written.  ``T_base_rig`` (4, 4) maps the rig of the results to
-    ``base_link``.
+    While LOST or in an arbitrary unit only ``/status`` is written.  ``T_base_rig`` (4, 4) maps the
+    rig of the results to ``base_link``.
     """
 
     wants_points = True
@@ -355,14 +355,18 @@ class ResultBag(Observer):
     def __init__(self, path: Path, T_base_rig: Matrix) -> None:
         self._bag = BagWriter(path)
         self._T_base_rig = T_base_rig
+        self._is_metric = True
 
     def on_result(self, result: OdometryResult) -> None:
-        odometry = odometry_fields(result, self._T_base_rig)
+        self._is_metric = result.is_metric
+        odometry = odometry_fields(result, self._T_base_rig) if result.is_metric else None
         if odometry is not None:
             self._bag.write_odometry("/odom", odometry)
         self._bag.write_diagnostics("/status", status_fields(result))
 
     def on_points(self, stamp_ns: int, cloud: PointCloud) -> None:
+        if not self._is_metric:
+            return
         self._bag.write_points("/points", point_cloud_fields(stamp_ns, cloud, self._T_base_rig))
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 PLY after G. Turk, The PLY polygon file format (1994); PCD after the file format page of the Point
 Cloud Library (version 0.7).  Fields are float32 ``x y z intensity`` and, where known,
-``temperature`` (kelvin), then whatever else is known of each point.
+``temperature`` (kelvin) and ``thermal`` (counts), then whatever else is known of each point.
 """
 
 from __future__ import annotations
@@ -114,6 +114,8 @@ def _table(cloud: PointCloud, more: Mapping[str, NDArray[Any]]) -> Table:
     }
     if cloud.temperature_kelvin is not None:
         columns["temperature"] = cloud.temperature_kelvin
+    if cloud.thermal_counts is not None:
+        columns["thermal"] = cloud.thermal_counts
     columns |= more
     table = np.empty(len(cloud.xyz), dtype=[(name, "<f4") for name in columns])
     for name, values in columns.items():
@@ -161,6 +163,7 @@ def _read(path: Path, layout: Callable[[Path, list[list[str]]], tuple[Any, int]]
         xyz,
         np.zeros(count, np.float32) if intensity is None else intensity,
         _column(table, "temperature"),
+        _column(table, "thermal"),
     )
 
 

@@ -73,7 +73,8 @@ class OdometryFields:
 class PointCloudFields:
     """``sensor_msgs/PointCloud2`` of one row: float32 columns, little-endian.
 
-    x, y, z (m), intensity and, where known, temperature (K).  ``data`` (N * ``point_step``,) uint8.
+    x, y, z (m), intensity and, where known, temperature (K) and thermal counts.  ``data``
+    (N * ``point_step``,) uint8.
     """
 
     stamp_ns: int
@@ -229,14 +230,21 @@ def pose_fields(
 def point_cloud_fields(
     stamp_ns: int, cloud: PointCloud, T_base_rig: Matrix, *, frame_id: str = ODOM_FRAME
 ) -> PointCloudFields:
-    """World points in ``odom`` axes, packed; points that are not finite are left out."""
+    """World points in ``odom`` axes, packed; points that are not finite are left out.
+
+    A point of two bands may have been seen in one of them only: the other is NaN.
+    """
     columns: list[NDArray[Any]] = [transform_points(T_base_rig, cloud.xyz), cloud.intensity]
     names: tuple[str, ...] = ("x", "y", "z", "intensity")
     if cloud.temperature_kelvin is not None:
         columns.append(cloud.temperature_kelvin)
         names = (*names, "temperature")
+    known = np.column_stack(columns if cloud.thermal_counts is None else columns[:1])
+    if cloud.thermal_counts is not None:
+        columns.append(cloud.thermal_counts)
+        names = (*names, "thermal")
     packed = np.column_stack(columns).astype("<f4")
-    packed = np.ascontiguousarray(packed[np.all(np.isfinite(packed), axis=1)])
+    packed = np.ascontiguousarray(packed[np.all(np.isfinite(known), axis=1)])
     data = packed.view(np.uint8).reshape(-1)
     return PointCloudFields(stamp_ns, len(packed), data, frame_id, names)
 

@@ -45,6 +45,7 @@ FRAME_COLUMNS = (
     "matches",
     "inliers",
     "rms_px",
+    "scale_converged",
     "reason",
 )
 
@@ -202,6 +203,7 @@ class TrajectoryFiles(Observer):
     """Keeps every result and writes ``trajectory.tum``, ``trajectory_kitti.txt``, ``frames.csv``.
 
     ``frames.csv`` has a line for each frame, with or without a pose: stamp, status and counts.
+    Once the scale has converged, poses of before are left out, as ``estimated_trajectory`` does.
     Nothing is written before ``close``.
     """
 
@@ -230,7 +232,11 @@ class TrajectoryFiles(Observer):
 
     def close(self) -> None:
         write_tum(self._folder / "trajectory.tum", self.trajectory)
-        poses = [result.T_world_rig for result in self._results]
+        metric_only = any(result.scale_converged for result in self._results)
+        poses = [
+            result.T_world_rig if result.is_metric or not metric_only else None
+            for result in self._results
+        ]
         write_kitti(self._folder / "trajectory_kitti.txt", poses)
         write_text(self._folder / "frames.csv", self._frame_table())
 
@@ -241,10 +247,10 @@ class TrajectoryFiles(Observer):
         for result in self._results:
             stats = result.stats
             counts = (stats.features, stats.matches, stats.inliers, f"{stats.rms_px:.4f}")
+            scale = "" if result.scale_converged is None else str(result.scale_converged).lower()
             reason = " ".join(result.reason.split())
-            table.writerow(
-                (result.stamp_ns, result.status.value, result.reset_counter, *counts, reason)
-            )
+            head = (result.stamp_ns, result.status.value, result.reset_counter)
+            table.writerow((*head, *counts, scale, reason))
         return text.getvalue()
 
 

@@ -1,15 +1,17 @@
-"""The thermal front end of one camera: gate, stored flat field, scene-based refinement.
+"""The front end of one camera: gate, then for a thermal one flat field and scene-based refinement.
 
-The correction node and the replay use this very object.
+The correction node and the replay use these very objects.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from thermal_stereo_vo.core.cameras import VISIBLE
 from thermal_stereo_vo.core.config import group
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame
@@ -28,6 +30,7 @@ from thermal_stereo_vo.radiometry.gate import (
     GateState,
 )
 from thermal_stereo_vo.radiometry.scene_based import SceneBasedConfig, SceneBasedCorrection
+from thermal_stereo_vo.radiometry.visible_gate import VisibleGate, VisibleGateConfig
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,39 @@ class FrontEndConfig:
     gate: GateConfig = group(GateConfig, "Which frames show the scene.")
     flat_field: FlatFieldConfig = group(FlatFieldConfig, "Stored shutterless flat field.")
     scene_based: SceneBasedConfig = group(SceneBasedConfig, "Refinement of the pattern in flight.")
+    visible: VisibleGateConfig = group(VisibleGateConfig, "When a visible camera is blind.")
+
+
+class FrontEnd(Protocol):
+    """Judges and corrects the raw frames of one camera; ``decision`` is of the last one."""
+
+    gate: FrameGate
+    decision: GateDecision
+
+    @property
+    def flat_field_status(self) -> FlatFieldStatus | None:
+        """How the last frame was corrected; None without a flat field."""
+
+    def process(self, raw: RawFrame) -> RadiometricFrame | None:
+        """The frame, with ``image`` None while the camera is blind; None for a repeat."""
+
+    def check(self, silence_s: float) -> GateEvent | None:
+        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
+
+    def warm_up(self) -> None:
+        """Compile the kernels, so that the first frames are not late."""
+
+    def reset(self) -> None:
+        """Forget all images: the clock was set back or another recording begins."""
+
+
+def create_front_end(
+    config: FrontEndConfig, camera: str, on_event: Callable[[GateEvent], None] | None = None
+) -> FrontEnd:
+    """The front end for the camera of this role.  Raises what ``ThermalFrontEnd`` raises."""
+    if camera == VISIBLE:
+        return VisibleFrontEnd(config, camera, on_event)
+    return ThermalFrontEnd(config, camera, on_event)
 
 
 class ThermalFrontEnd:
@@ -114,6 +150,55 @@ class ThermalFrontEnd:
     def warm_up(self) -> None:
         """Compile the kernels, so that the first frames are not late."""
         warm_up()
+
+    def reset(self) -> None:
+        """Forget all images: the clock was set back or another recording begins."""
+        self.gate.reset()
+
+
+class VisibleFrontEnd:
+    """Passes the frames of a visible camera on as they are, but for those that show nothing."""
+
+    flat_field_status = None
+
+    def __init__(
+        self,
+        config: FrontEndConfig,
+        camera: str,
+        on_event: Callable[[GateEvent], None] | None = None,
+    ) -> None:
+        self.gate: FrameGate = VisibleGate(config.gate, config.visible, camera, on_event)
+        self.decision = GateDecision(GateState.TRACKING, 0)
+
+    def process(self, raw: RawFrame) -> RadiometricFrame | None:
+        """Judge one frame; None for one that only repeats the one before.
+
+        Raises what ``ThermalFrontEnd.process`` raises.
+        """
+        self.decision = decision = self.gate.process(raw)
+        if decision.repeat:
+            return None
+        return RadiometricFrame(
+            image=None if decision.blind else raw.image,
+            stamp_ns=raw.stamp_ns,
+            camera=raw.camera,
+            sequence=raw.sequence,
+            epoch=decision.epoch,
+            gap=decision.gap,
+            blind=decision.reason,
+        )
+
+    def check(self, silence_s: float) -> GateEvent | None:
+        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
+        return self.gate.check(self.gate.last_stamp_ns + round(silence_s * 1e9))
+
+    def warm_up(self) -> None:
+        """Compile the kernels, so that the first frames are not late."""
+        for dtype in (np.uint8, np.uint16):
+            images = (np.arange(64 * 64).reshape(64, 64) * k for k in (1, 2))
+            gate = VisibleGate()
+            for k, image in enumerate(images):
+                gate.process(RawFrame(image.astype(dtype), k, ""))
 
     def reset(self) -> None:
         """Forget all images: the clock was set back or another recording begins."""

@@ -111,6 +111,8 @@ class Cause(Enum):
     TELEMETRY = "telemetry"
     SCHEDULE = "schedule"
     DISCARDED = "discarded after a correction"
+    DARKNESS = "darkness"
+    GLARE = "glare"
 
 
 @dataclass(frozen=True)
@@ -365,12 +367,12 @@ class FrameGate:
 
     def _hold_back(self, raw: RawFrame, causes: list[Cause]) -> GateDecision:
         episode = self._open(raw.sequence, causes)
-        if raw.stamp_ns - episode.start_ns > self._config.ffc_max_s * 1e9:
+        if self._is_overdue(episode.causes, raw.stamp_ns - episode.start_ns):
             self._fault(raw.stamp_ns, raw.sequence)
             reason = GapReason.FAULT
         else:
             self._state = GateState.FFC
-            reason = _reason_while_blind(episode.causes)
+            reason = self._reason_while_blind(episode.causes)
         return GateDecision(
             self._state,
             self._epoch,
@@ -379,6 +381,15 @@ class FrameGate:
             causes=tuple(episode.causes),
             settled=False,
         )
+
+    def _is_overdue(self, causes: list[Cause], duration_ns: int) -> bool:
+        """Whether a camera that has been blind for so long has a fault."""
+        return duration_ns > self._config.ffc_max_s * 1e9
+
+    def _reason_while_blind(self, causes: list[Cause]) -> GapReason:
+        if _CORRECTION & set(causes):
+            return GapReason.FFC
+        return GapReason.FROZEN if _FREEZE & set(causes) else GapReason.CORRUPT
 
     def _open(self, sequence: int, causes: list[Cause]) -> _Episode:
         if self._episode is None:
@@ -564,12 +575,6 @@ _CORRECTION = {
     Cause.SHUTTER_VIEW,
 }
 _FREEZE = {Cause.IDENTICAL, Cause.NEAR_IDENTICAL}
-
-
-def _reason_while_blind(causes: list[Cause]) -> GapReason:
-    if _CORRECTION & set(causes):
-        return GapReason.FFC
-    return GapReason.FROZEN if _FREEZE & set(causes) else GapReason.CORRUPT
 
 
 def _tells_of_correction(before: Telemetry | None, now: Telemetry | None) -> bool | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,9 +18,10 @@ from thermal_stereo_vo.core.cameras import (
     RigCamera,
 )
 from thermal_stereo_vo.core.config import setting
-from thermal_stereo_vo.core.errors import CalibrationError, FrameError
+from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.core.frames import CameraView, GapReason, RadiometricFrame, RigFrame
 from thermal_stereo_vo.core.transforms import inverse, make_transform
+from thermal_stereo_vo.stereo.remapping import RemappedCamera, coefficients
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,32 @@ class RectificationConfig:
     )
 
 
+class RigRectifier(Protocol):
+    """Turns frames of the cameras in ``roles`` into views through ideal pinholes.
+
+    ``T_rig_rectified`` (4, 4) maps coordinates of the rig that results speak of to those of the rig
+    the calibration speaks of.
+    """
+
+    T_rig_rectified: NDArray[np.float64]
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The cameras, in the order of a pair."""
+
+    @property
+    def rectified_calibration(self) -> RigCalibration:
+        """The rig that the views obey."""
+
+    def process(self, frame: RadiometricFrame, role: str) -> CameraView | None:
+        """The view of one camera, or None while it is blind."""
+
+
 class Rectifier:
     """Maps both eyes onto a common image plane.
 
     Uses the R and P of the calibration file when both eyes bring them, else Bouguet's method
-    (``cv2.stereoRectify``).  Counts stay linear: bilinear interpolation, rounded to the input type,
-    so that a chain of nodes and a replay see the same numbers.
+    (``cv2.stereoRectify``).
 
     ``T_rig_rectified`` maps coordinates of the rectified left camera, the ``rig`` of every result,
     to those of the rig the calibration speaks of.
@@ -47,39 +69,30 @@ class Rectifier:
     Raises CalibrationError for a pair that cannot be rectified.
     """
 
+    roles = (LEFT, RIGHT)
+
     def __init__(self, calibration: RigCalibration, config: RectificationConfig) -> None:
         calibration.check_stereo()
         self._calibration = calibration
         left, right = calibration[LEFT], calibration[RIGHT]
-        self._raw_size = left.camera.size
-        self._maps: dict[str, tuple[NDArray[np.int16], NDArray[np.uint16]]] = {}
-        self._masks: dict[str, NDArray[np.bool_] | None] = {LEFT: None, RIGHT: None}
-        if calibration.rectified:
-            R_left = np.eye(3)
-            self._cameras = {LEFT: left.camera, RIGHT: right.camera}
-            baseline_m = calibration.baseline_m
-        else:
+        R_left, R_right, ideal_left, ideal_right = None, None, left.camera, right.camera
+        baseline_m = calibration.baseline_m
+        if not calibration.rectified:
             R_left, R_right, P_left, P_right = _rectifying_transforms(calibration, config.alpha)
+            ideal_left, ideal_right = _pinhole(left.camera, P_left), _pinhole(right.camera, P_right)
             baseline_m = float(P_left[0, 3] / P_left[0, 0] - P_right[0, 3] / P_right[0, 0])
-            self._cameras = {}
-            for role, rig_camera, R, P in (
-                (LEFT, left, R_left, P_left),
-                (RIGHT, right, R_right, P_right),
-            ):
-                width, height = rig_camera.camera.size
-                self._cameras[role] = Camera(width, height, P[0, 0], P[1, 1], P[0, 2], P[1, 2])
-                self._maps[role] = _undistortion_maps(rig_camera.camera, R, P)
-                self._masks[role] = _seen(self._maps[role][0], self._raw_size)
-        self.T_rig_rectified = left.T_rig_camera @ make_transform(R_left.T, np.zeros(3))
-        self._T_rig_camera = {
-            LEFT: np.eye(4),
-            RIGHT: make_transform(np.eye(3), [baseline_m, 0.0, 0.0]),
+        origin, T_left_right = calibration.origin, make_transform(np.eye(3), [baseline_m, 0.0, 0.0])
+        self._eyes = {
+            LEFT: RemappedCamera(left.camera, ideal_left, R_left, np.eye(4), origin),
+            RIGHT: RemappedCamera(right.camera, ideal_right, R_right, T_left_right, origin),
         }
+        R_rig_rectified = np.eye(3) if R_left is None else R_left.T
+        self.T_rig_rectified = left.T_rig_camera @ make_transform(R_rig_rectified, np.zeros(3))
 
     @property
     def baseline_m(self) -> float:
         """Distance of the rectified eyes."""
-        return float(self._T_rig_camera[RIGHT][0, 3])
+        return float(self._eyes[RIGHT].T_rig_camera[0, 3])
 
     @property
     def rectified_calibration(self) -> RigCalibration:
@@ -87,8 +100,7 @@ class Rectifier:
         T_base_rig, T_rig_imu = self._calibration.T_base_rig, self._calibration.T_rig_imu
         return RigCalibration(
             cameras={
-                role: RigCamera(self._cameras[role], self._T_rig_camera[role])
-                for role in (LEFT, RIGHT)
+                role: RigCamera(eye.camera, eye.T_rig_camera) for role, eye in self._eyes.items()
             },
             rectified=True,
             origin=self._calibration.origin,
@@ -101,44 +113,19 @@ class Rectifier:
 
         Raises FrameError for an image of another size than the calibration's.
         """
-        if frame.image is None:
-            return None
-        height, width = frame.image.shape
-        if (width, height) != self._raw_size:
-            raise FrameError(
-                f"camera '{role}' gives {width}x{height} pixels, but the calibration "
-                f"{self._calibration.origin} is for {self._raw_size[0]}x{self._raw_size[1]}: use "
-                "the calibration of this camera and video mode"
-            )
-        image, mask = frame.image, frame.mask
-        if self._maps:
-            maps = self._maps[role]
-            image = cv2.remap(image, *maps, cv2.INTER_LINEAR)
-            if mask is not None:
-                whole = cv2.remap(mask.astype(np.uint8) * 255, *maps, cv2.INTER_LINEAR) == 255
-                mask = whole & self._masks[role] if self._masks[role] is not None else whole
-            else:
-                mask = self._masks[role]
-        return CameraView(
-            image=image,
-            camera=self._cameras[role],
-            T_rig_camera=self._T_rig_camera[role],
-            mask=mask,
-            epoch=frame.epoch,
-            gap=frame.gap,
-        )
+        return self._eyes[role].process(frame, role)
 
 
 def assemble(
-    rectifier: Rectifier,
+    rectifier: RigRectifier,
     first: RadiometricFrame | None,
     second: RadiometricFrame | None,
     stamp_ns: int,
 ) -> RigFrame:
-    """The rectified rig frame of a pair; an eye that is missing or blind has no view."""
+    """The rig frame of a pair; a camera that is missing or blind has no view."""
     views: dict[str, CameraView] = {}
     blind: dict[str, GapReason] = {}
-    for role, frame in ((LEFT, first), (RIGHT, second)):
+    for role, frame in zip(rectifier.roles, (first, second), strict=True):
         view = None if frame is None else rectifier.process(frame, role)
         if view is not None:
             views[role] = view
@@ -200,9 +187,9 @@ def _rectifying_transforms(
     T_right_left = inverse(calibration.T_a_b(LEFT, RIGHT))
     arguments = (
         left.camera.matrix,
-        _coefficients(left.camera),
+        coefficients(left.camera),
         right.camera.matrix,
-        _coefficients(right.camera),
+        coefficients(right.camera),
         left.camera.size,
         np.ascontiguousarray(T_right_left[:3, :3]),
         np.ascontiguousarray(T_right_left[:3, 3]).reshape(3, 1),
@@ -218,28 +205,5 @@ def _rectifying_transforms(
     return R_left, R_right, P_left, P_right
 
 
-def _coefficients(camera: Camera) -> NDArray[np.float64]:
-    if camera.model is DistortionModel.NONE:
-        return np.zeros(5)
-    return np.array(camera.distortion, dtype=np.float64)
-
-
-def _undistortion_maps(
-    camera: Camera, R: NDArray[np.float64], P: NDArray[np.float64]
-) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
-    build = (
-        cv2.fisheye.initUndistortRectifyMap
-        if camera.model is DistortionModel.EQUIDISTANT
-        else cv2.initUndistortRectifyMap
-    )
-    map_x, map_y = build(
-        camera.matrix, _coefficients(camera), R, P[:, :3], camera.size, cv2.CV_16SC2
-    )
-    return map_x, map_y
-
-
-def _seen(map_xy: NDArray[np.int16], raw_size: tuple[int, int]) -> NDArray[np.bool_]:
-    """(H, W) True where all four neighbours of the sample lie in the raw image."""
-    width, height = raw_size
-    x, y = map_xy[..., 0], map_xy[..., 1]
-    return (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)
+def _pinhole(raw: Camera, P: NDArray[np.float64]) -> Camera:
+    return Camera(*raw.size, P[0, 0], P[1, 1], P[0, 2], P[1, 2])
