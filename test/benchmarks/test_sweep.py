@@ -167,9 +167,10 @@ def test_without_dask_it_is_said_what_to_install(tmp_path, monkeypatch):
 
 def test_a_folder_belongs_to_one_sweep(tmp_path):
     folder = tmp_path / "report"
-    assert claim_folder(folder, SWEEP) == folder / "cells"
-    claim_folder(folder, SWEEP)
-    claim_folder(folder, dataclasses.replace(SWEEP, flights=("seq1",), seeds=(5,)))  # goes on
+    assert claim_folder(folder, SWEEP.settings()) == folder / "cells"
+    claim_folder(folder, SWEEP.settings())
+    more = dataclasses.replace(SWEEP, flights=("seq1",), seeds=(5,))
+    claim_folder(folder, more.settings())  # goes on
     other = with_overrides(Config(), ["odometry.windowed.corners.points=300"])
     for change, name in (
         ({"rate_hz": 30.0}, "rate_hz"),
@@ -177,15 +178,15 @@ def test_a_folder_belongs_to_one_sweep(tmp_path):
         ({"config": other}, "settings"),
     ):
         with pytest.raises(ConfigError, match=f"holds a sweep with another {name}: give another"):
-            claim_folder(folder, dataclasses.replace(SWEEP, **change))
+            claim_folder(folder, dataclasses.replace(SWEEP, **change).settings())
 
 
 def test_foreign_folders_are_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(ConfigError, match="is not empty and holds no sweep: give a new folder"):
-        claim_folder(tmp_path, SWEEP)
+        claim_folder(tmp_path, SWEEP.settings())
     with pytest.raises(ConfigError, match=r"thesis\.tex cannot be written"):
-        claim_folder(tmp_path / "thesis.tex", SWEEP)
+        claim_folder(tmp_path / "thesis.tex", SWEEP.settings())
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 

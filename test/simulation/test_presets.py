@@ -120,3 +120,29 @@ def test_only_what_changes_pictures_changes_their_key() -> None:
 def test_the_gallery_shows_every_preset_once() -> None:
     shown = [name for presets in GALLERY.values() for name in presets]
     assert sorted(shown) == sorted(preset.name for preset in all_presets())
+
+
+def test_critical_motions_are_straight_ahead_and_nothing() -> None:
+    still, forward = plan_of("ms-still").motion, plan_of("ms-forward").motion
+    times = np.arange(0.0, 12.0, 0.25)
+    np.testing.assert_array_equal([still.T_map_base(t) for t in times], [still.T_map_base(0)] * 48)
+    poses = np.array([forward.T_map_base(t) for t in times])
+    np.testing.assert_allclose(poses[:, :3, :3], np.tile(np.eye(3), (48, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(poses[:, 1:3, 3], poses[:1, 1:3, 3].repeat(48, axis=0), atol=1e-9)
+    assert 1.5 < poses[-1, 0, 3] - poses[0, 0, 3] < 1.85
+    assert np.all(np.diff(poses[8:, 0, 3]) > 0.03)
+
+
+def test_the_flight_at_dusk_is_long_enough_and_has_two_bands() -> None:
+    plan = plan_of("ms-dusk")
+    assert plan.motion.length_m() > 300.0
+    assert plan.roles == (VISIBLE, THERMAL)
+    assert plan.weather.illumination == 0.01
+
+
+def test_another_rig_may_be_carried_along_a_path() -> None:
+    preset, stereo = plan_of("ms-01"), plan_of("ms-01", "rig=stereo")
+    assert stereo.roles == (LEFT, RIGHT)
+    assert plan_of("seq8", "rig=visible_thermal").roles == (VISIBLE, THERMAL)
+    np.testing.assert_array_equal(stereo.motion.T_map_base(9.0), preset.motion.T_map_base(9.0))
+    assert stereo.picture_key() != preset.picture_key()

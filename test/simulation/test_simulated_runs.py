@@ -155,3 +155,18 @@ def test_wrong_wishes_are_refused(preset, overrides, error, text) -> None:
                 preset, SourceOptions(overrides=("render.workers=0", *overrides))
             ).frames()
         )
+
+
+def test_when_the_light_goes_out_the_thermal_camera_sees_on() -> None:
+    """And the pictures are those of the run with light: they may be shared."""
+    cut = ("duration_s=1", "visible.dark_first_s=0.4", "visible.dark_s=0.3")
+    dark, lit = run("ms-still", *cut), run("ms-still", "duration_s=1")
+    assert dark.simulation.plan.picture_key() == lit.simulation.plan.picture_key()
+    spread = {VISIBLE: [], THERMAL: []}
+    for a, b in zip(dark.frames(), lit.frames(), strict=True):
+        seconds = a.stamp_ns * 1e-9 - lit.ground_truth().stamps_ns[0] * 1e-9
+        out = a.camera == VISIBLE and 0.4 - 1e-6 <= seconds < 0.7 - 1e-6
+        assert np.array_equal(a.image, b.image) != out
+        spread[a.camera].append((out, float(np.ptp(np.percentile(a.image, (5, 95))))))
+    assert max(s for out, s in spread[VISIBLE] if out) < 15
+    assert min(s for out, s in spread[VISIBLE] if not out) > 25

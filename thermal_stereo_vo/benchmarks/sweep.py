@@ -13,13 +13,13 @@ import multiprocessing
 import queue
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 
@@ -77,6 +77,24 @@ class Sweep:
         )
 
 
+class CellFile(Protocol):
+    """Figures of one run, a dataclass; ``name`` is fit for a file name."""
+
+    @property
+    def name(self) -> str:
+        """Unique within a sweep."""
+
+
+class Job(Protocol):
+    """Runs that share their pictures."""
+
+    def in_parallel(self, processes: int) -> Job:
+        """The same, with so many processes that render for it."""
+
+    def fly(self, on_frame: Callable[[], None]) -> Iterator[Any]:
+        """Fly what is missing; yields each cell (a ``CellFile``) when it is done."""
+
+
 @dataclass(frozen=True)
 class FlightJob:
     """One flight: for each seed the methods whose cells are missing.
@@ -102,9 +120,17 @@ class FlightJob:
         seeds = len(self.missing)
         return seeds * self.sweep.dataset(self.flight, 0).instants() if seeds else 0
 
+    def in_parallel(self, processes: int) -> FlightJob:
+        """The same, with so many processes that render for it."""
+        return dataclasses.replace(self, render_workers=processes)
 
-def claim_folder(folder: Path, sweep: Sweep) -> Path:
-    """Make ``folder`` the one of this sweep; returns where its cells go.
+    def fly(self, on_frame: Callable[[], None]) -> Iterator[Cell]:
+        """As the function ``fly``."""
+        return fly(self, on_frame)
+
+
+def claim_folder(folder: Path, settings: Mapping[str, Any]) -> Path:
+    """Make ``folder`` the one of a sweep with these settings; returns where its cells go.
 
     Raises ConfigError when it holds a sweep with other settings, or something else.
     """
@@ -112,7 +138,7 @@ def claim_folder(folder: Path, sweep: Sweep) -> Path:
     try:
         if note.is_file():
             theirs = json.loads(note.read_text(encoding="utf-8"))
-            ours = json.loads(to_json(sweep.settings()))
+            ours = json.loads(to_json(settings))
             if theirs != ours:
                 names = [name for name in ours if theirs.get(name) != ours[name]]
                 raise ConfigError(
@@ -124,7 +150,7 @@ def claim_folder(folder: Path, sweep: Sweep) -> Path:
                 f"the output folder {folder} is not empty and holds no sweep: give a new folder"
             )
         (folder / CELLS_FOLDER).mkdir(parents=True, exist_ok=True)
-        write_text(note, to_json(sweep.settings()))
+        write_text(note, to_json(settings))
     except OSError as error:
         raise ConfigError(
             f"the output folder {folder} cannot be written: {error.strerror}"
@@ -165,7 +191,7 @@ def fly(job: FlightJob, on_frame: Callable[[], None] = lambda: None) -> Iterator
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with _pictures(job.pictures, job.forget) as pictures:
+        with kept_pictures(job.pictures, job.forget) as pictures:
             more = (f"render.cache={pictures}", f"render.workers={job.render_workers}")
             for seed, methods in job.missing:
                 dataset = job.sweep.dataset(job.flight, seed, more)
@@ -180,12 +206,12 @@ def fly_whole(job: FlightJob) -> list[Cell]:
 
 
 def run_here(
-    jobs: Sequence[FlightJob],
+    jobs: Sequence[Job],
     cells: Path,
     processes: int,
     *,
     on_frame: Callable[[], None] = lambda: None,
-    on_cell: Callable[[Cell], None] = lambda cell: None,
+    on_cell: Callable[[Any], None] = lambda cell: None,
 ) -> None:
     """Fly all jobs with so many processes of this machine; 0 flies in this one.
 
@@ -193,15 +219,15 @@ def run_here(
     """
     if processes == 0:
         for job in jobs:
-            for cell in fly(job, on_frame):
+            for cell in job.fly(on_frame):
                 save_cell(cells, cell)
                 on_cell(cell)
         return
     if len(jobs) == 1:  # one flight at a time: the others may render for it
-        jobs = [dataclasses.replace(jobs[0], render_workers=processes)]
+        jobs = [jobs[0].in_parallel(processes)]
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager:
-        news: queue.Queue[Cell | None] = manager.Queue()
+        news: queue.Queue[Any] = manager.Queue()
         pool = ProcessPoolExecutor(processes, mp_context=context)
         try:
             futures = [pool.submit(_fly_and_save, job, cells, news) for job in jobs]
@@ -274,7 +300,8 @@ def _fly_once(
 
 
 @contextmanager
-def _pictures(folder: str | None, forget: bool) -> Iterator[str]:
+def kept_pictures(folder: str | None, forget: bool) -> Iterator[str]:
+    """A folder for pictures: the given one, removed at last with ``forget``, or a passing one."""
     if folder is not None:
         yield folder
         if forget:
@@ -284,16 +311,16 @@ def _pictures(folder: str | None, forget: bool) -> Iterator[str]:
         yield temporary
 
 
-def _fly_and_save(job: FlightJob, cells: Path, news: queue.Queue[Cell | None]) -> None:
-    for cell in fly(job, on_frame=lambda: news.put(None)):
+def _fly_and_save(job: Job, cells: Path, news: queue.Queue[Any]) -> None:
+    for cell in job.fly(lambda: news.put(None)):
         save_cell(cells, cell)
         news.put(cell)
 
 
 def _pass_on(
-    news: queue.Queue[Cell | None],
+    news: queue.Queue[Any],
     on_frame: Callable[[], None],
-    on_cell: Callable[[Cell], None],
+    on_cell: Callable[[Any], None],
     wait_s: float,
 ) -> None:
     """Tell all that came in; waits so long for the first piece."""

@@ -15,6 +15,7 @@ MEASUREMENTS = {
     "solvers": "Gauss-Newton, Levenberg-Marquardt and Double Dogleg on the same problems",
     "calibration": "simulated board views against the true rig, and a flight with the result",
     "table5": "nine simulated flights by every method: Table V of the paper",
+    "multispectral": "visible + thermal runs by both cameras and by each alone: Table II of P2",
     "simulate": "pictures a second, processor time and memory of the simulator",
     "radiometry": "flat field, gate and scene-based refinement on real recordings",
     "shutterless": "odometry while the cores warm up without a shutter",

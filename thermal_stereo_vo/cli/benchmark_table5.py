@@ -92,7 +92,7 @@ def run_table5(args: argparse.Namespace) -> int:
     pictures = args.pictures
     if pictures is None and args.scheduler is None:
         pictures = args.output / PICTURES_FOLDER
-    cells = claim_folder(args.output, sweep)
+    cells = claim_folder(args.output, sweep.settings())
     jobs = open_jobs(sweep, cells, pictures, forget=args.forget_pictures)
     say = _nothing if args.quiet else _print_cell
     if args.scheduler is not None:

@@ -35,8 +35,10 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.core.trajectory import Trajectory
     from thermal_stereo_vo.datasets.registry import open_dataset, require_calibration
     from thermal_stereo_vo.datasets.trajectories import find_ground_truth
+    from thermal_stereo_vo.evaluation.alignment import Alignment
     from thermal_stereo_vo.evaluation.metrics import evaluate
     from thermal_stereo_vo.evaluation.report import metrics_report, timing_report, trajectory_report
+    from thermal_stereo_vo.evaluation.scale import scale_report
     from thermal_stereo_vo.odometry.factory import describe
     from thermal_stereo_vo.outputs.bag_writer import ResultBag
     from thermal_stereo_vo.outputs.gate_events import GateEvents
@@ -75,13 +77,25 @@ def run(args: argparse.Namespace) -> int:
         if truth is not None:
             # Results speak of the rectified rig; so must be what they are compared with.
             truth = Trajectory(truth.stamps_ns, truth.T_world_rig @ rectifier.T_rig_rectified)
-            metrics = evaluate(files.trajectory, truth, frame_stamps_ns=files.frame_stamps_ns)
-            folder.write_json("metrics.json", metrics.as_dict())
+        scale = scale_report(replayed.results, truth)
+        if truth is not None:
+            unknown = scale is not None and scale.converged_after_s is None
+            metrics = evaluate(
+                files.trajectory,
+                truth,
+                frame_stamps_ns=files.frame_stamps_ns,
+                alignment=Alignment.SIM3 if unknown else Alignment.ORIGIN,
+            )
+            folder.write_json(
+                "metrics.json", metrics.as_dict() | ({} if scale is None else scale.as_dict())
+            )
             say(metrics_report(metrics))
         else:
             metrics = None
             say("no ground truth to compare with")
             say(trajectory_report(files.trajectory, len(files.frame_stamps_ns)))
+        if scale is not None:
+            say(str(scale))
         if not args.no_plot:
             from thermal_stereo_vo.outputs.plots import plot_run
 

@@ -107,10 +107,10 @@ def make_cell(
         nees_mean=float(np.mean(known)) if len(known) else None,
         nees_final=float(known[-1]) if len(known) else None,
         statuses={s.value: sum(r.status is s for r in results) for s in TrackingStatus},
-        positions_m=_thinned((T_first_world @ laid_over.T_world_est)[:, :3, 3]),
-        true_positions_m=_thinned((T_first_world @ laid_over.T_world_true)[:, :3, 3]),
-        curve_distance_m=_thinned(metrics.curve.distance_m),
-        curve_percent=_thinned(metrics.curve.error_percent),
+        positions_m=thinned((T_first_world @ laid_over.T_world_est)[:, :3, 3]),
+        true_positions_m=thinned((T_first_world @ laid_over.T_world_true)[:, :3, 3]),
+        curve_distance_m=thinned(metrics.curve.distance_m),
+        curve_percent=thinned(metrics.curve.error_percent),
     )
 
 
@@ -134,8 +134,8 @@ def pose_nees(results: Sequence[OdometryResult], truth: Trajectory) -> NDArray[n
     return nees(true, estimated, covariance)
 
 
-def save_cell(folder: Path, cell: Cell) -> Path:
-    """Write the cell to ``folder``, whole or not at all."""
+def save_cell(folder: Path, cell: Any) -> Path:
+    """Write the cell (a dataclass with a ``name``) to ``folder``, whole or not at all."""
     path = folder / f"{cell.name}.json"
     write_text(path, to_json(asdict(cell)))
     return path
@@ -159,7 +159,7 @@ def load_cells(folder: Path) -> list[Cell]:
     return sorted(cells, key=lambda cell: (cell.flight, order.get(cell.method, 99), cell.seed))
 
 
-def _thinned(values: NDArray[np.float64]) -> list[Any]:
+def thinned(values: NDArray[np.float64]) -> list[Any]:
     """Every n-th of the values, the last one always, rounded to what a picture shows."""
     step = max(1, -(-len(values) // MOST_POINTS))
     kept = values[::step]

@@ -10,7 +10,7 @@ import numpy as np
 
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import from_mapping
-from thermal_stereo_vo.simulation.rig import stereo_rig
+from thermal_stereo_vo.simulation.rig import stereo_rig, visible_thermal_rig
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.scene import Scene
 from thermal_stereo_vo.simulation.settings import SimulationConfig
@@ -41,3 +41,8 @@ def settings_of(mapping: Mapping[str, Any]) -> SimulationConfig:
 def stereo(config: SimulationConfig) -> RigCalibration:
     """The thermal stereo rig of Mouats et al. 2015."""
     return stereo_rig(config.render.scale, config.flight.tilt_down_deg)
+
+
+def visible_thermal(config: SimulationConfig) -> RigCalibration:
+    """A visible camera beside a thermal one, as held by Dai et al. 2019."""
+    return visible_thermal_rig(config.render.scale)

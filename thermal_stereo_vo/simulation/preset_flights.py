@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from thermal_stereo_vo.simulation import objects
 from thermal_stereo_vo.simulation.materials import Material
 from thermal_stereo_vo.simulation.mesh import MeshBuilder
-from thermal_stereo_vo.simulation.preset import MakeMotion, Preset, settings_of, stereo
+from thermal_stereo_vo.simulation.preset import (
+    MakeMotion,
+    Preset,
+    settings_of,
+    stereo,
+    visible_thermal,
+)
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.scene import Mover, Scene
 from thermal_stereo_vo.simulation.settings import SimulationConfig
@@ -155,6 +161,19 @@ def _street_with_arm(plan: RunPlan) -> Scene:
     return Scene(
         street.static, (*street.movers, Mover(b.build(), pose)), outdoors=True,
         extent_m=street.extent_m,
+    )  # fmt: skip
+
+
+def dusk_flights() -> tuple[Preset, ...]:
+    """Flights of a visible and a thermal camera in the last light."""
+    config = settings_of(
+        {"rate_hz": 20.0, "world.weather": "cloudy_day", "world.air_celsius": 6.0,
+         "world.illumination": 0.01, "flight.length_m": 320.0, "flight.speed_m_s": 4.0,
+         "ffc.mode": "periodic", "ffc.first_s": 15.0, "ffc.period_s": 30.0}
+    )  # fmt: skip
+    return (
+        Preset("ms-dusk", "320 m round a block at dusk, a visible and a thermal camera",
+               config, _circuit(_SQUARE), _town, visible_thermal),
     )  # fmt: skip
 
 

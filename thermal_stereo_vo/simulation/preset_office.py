@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermal_stereo_vo.core.cameras import RigCalibration
-from thermal_stereo_vo.simulation.preset import MakeMotion, MakeScene, Preset, settings_of
-from thermal_stereo_vo.simulation.rig import visible_thermal_rig
+from thermal_stereo_vo.simulation.preset import (
+    MakeMotion,
+    MakeScene,
+    Preset,
+    settings_of,
+    visible_thermal,
+)
 from thermal_stereo_vo.simulation.room import build_room
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.scene import Scene
 from thermal_stereo_vo.simulation.settings import SimulationConfig
-from thermal_stereo_vo.simulation.trajectory import Motion, wander
-
-
-def _rig(config: SimulationConfig) -> RigCalibration:
-    return visible_thermal_rig(config.render.scale)
+from thermal_stereo_vo.simulation.trajectory import Motion, glide, wander
 
 
 def hand_held() -> tuple[Preset, ...]:
@@ -35,12 +35,6 @@ def hand_held() -> tuple[Preset, ...]:
 
         return motion
 
-    def office(person: bool) -> MakeScene:
-        def scene(plan: RunPlan) -> Scene:
-            return build_room(plan.config.world.seed, plan.weather.air_kelvin, person=person)
-
-        return scene
-
     presets = []
     for n, (duration_s, speed, rotation, weather) in enumerate(table, start=1):
         config = settings_of(
@@ -53,6 +47,32 @@ def hand_held() -> tuple[Preset, ...]:
         )
         presets.append(
             Preset(f"ms-{n:02d}", summary, config, path(duration_s, speed, rotation),
-                   office(person), _rig)
+                   _office(person), visible_thermal)
         )  # fmt: skip
     return tuple(presets)
+
+
+def critical_motions() -> tuple[Preset, ...]:
+    """Motions that do not tell the scale of a visible + thermal rig: straight ahead, and none."""
+
+    def glided(start_m: tuple[float, ...], end_m: tuple[float, ...]) -> MakeMotion:
+        def motion(config: SimulationConfig, rng: np.random.Generator) -> Motion:
+            return glide(start_m, end_m, 12.0)
+
+        return motion
+
+    config = settings_of({"rate_hz": 20.0, "world.weather": "indoor"})
+    place, ahead = (-2.6, 0.2, 1.5), (-0.8, 0.2, 1.5)
+    return (
+        Preset("ms-forward", "12 s straight ahead through the office", config,
+               glided(place, ahead), _office(False), visible_thermal),
+        Preset("ms-still", "12 s on the spot in the office", config,
+               glided(place, place), _office(False), visible_thermal),
+    )  # fmt: skip
+
+
+def _office(person: bool) -> MakeScene:
+    def scene(plan: RunPlan) -> Scene:
+        return build_room(plan.config.world.seed, plan.weather.air_kelvin, person=person)
+
+    return scene

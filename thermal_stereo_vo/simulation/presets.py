@@ -8,9 +8,9 @@ import functools
 import numpy as np
 
 from thermal_stereo_vo.core.errors import SimulationError
-from thermal_stereo_vo.simulation.preset import Preset
-from thermal_stereo_vo.simulation.preset_flights import paper_flights, short_flights
-from thermal_stereo_vo.simulation.preset_office import hand_held
+from thermal_stereo_vo.simulation.preset import Preset, stereo, visible_thermal
+from thermal_stereo_vo.simulation.preset_flights import dusk_flights, paper_flights, short_flights
+from thermal_stereo_vo.simulation.preset_office import critical_motions, hand_held
 from thermal_stereo_vo.simulation.preset_targets import targets
 from thermal_stereo_vo.simulation.run import RunPlan
 from thermal_stereo_vo.simulation.settings import SimulationConfig
@@ -22,7 +22,14 @@ _ZERO_CELSIUS_KELVIN = 273.15
 @functools.cache
 def all_presets() -> tuple[Preset, ...]:
     """Every preset, flights first."""
-    return (*paper_flights(), *short_flights(), *hand_held(), *targets())
+    return (
+        *paper_flights(),
+        *short_flights(),
+        *hand_held(),
+        *critical_motions(),
+        *dusk_flights(),
+        *targets(),
+    )
 
 
 def find_preset(name: str) -> Preset:
@@ -48,4 +55,5 @@ def plan_run(preset: str, config: SimulationConfig) -> RunPlan:
     if config.world.illumination is not None:
         weather = dataclasses.replace(weather, illumination=config.world.illumination)
     motion = chosen.motion(config, np.random.default_rng([config.flight.seed, 10]))
-    return RunPlan(preset, config, motion, weather, chosen.rig(config))
+    rig = {"stereo": stereo, "visible_thermal": visible_thermal}.get(config.rig, chosen.rig)
+    return RunPlan(preset, config, motion, weather, rig(config))

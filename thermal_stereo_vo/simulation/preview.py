@@ -26,6 +26,7 @@ GALLERY = {
     "sim_flights.png": tuple(f"seq{n}" for n in range(1, 10)),
     "sim_short.png": ("demo", "hover", "turn", "quick_turn", "corridor", "ffc", "hot_arm"),
     "sim_office.png": tuple(f"ms-{n:02d}" for n in range(1, 8)),
+    "sim_bands.png": ("ms-forward", "ms-still", "ms-dusk"),
     "sim_targets.png": ("board_aluminium", "board_mask", "blackbody", "step"),
 }
 """Sheets of the gallery and the presets on each."""

@@ -70,6 +70,8 @@ class RunPlan:
             for path, value in flatten(self.config).items()
             if path.startswith(_IN_PICTURE)
         }
+        if self.config.rig != "preset":
+            values["rig"] = self.config.rig
         values |= {"preset": self.preset, "version": PICTURE_VERSION}
         text = json.dumps(values, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]

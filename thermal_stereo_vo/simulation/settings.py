@@ -276,6 +276,16 @@ class VisibleCameraConfig:
     longest_ms: float = setting(10.0, "Longest exposure.", unit="ms", minimum=0.01, maximum=1000.0)
     highest_gain: float = setting(8.0, "Largest amplification.", minimum=1.0, maximum=100.0)
     blur_px: float = setting(0.4, "Gaussian of the optics.", unit="px", minimum=0.0, maximum=3.0)
+    dark_first_s: float = setting(
+        20.0, "When the light goes out.", unit="s", minimum=0.0, maximum=100000.0
+    )
+    dark_s: float = setting(
+        0.0, "How long it stays dark; 0 for no darkness.", unit="s", minimum=0.0, maximum=100000.0
+    )
+
+    def sees_light(self, time_s: float) -> bool:
+        """Whether the light is on."""
+        return not self.dark_first_s <= time_s < self.dark_first_s + self.dark_s
 
 
 @dataclass(frozen=True)
@@ -312,6 +322,11 @@ class SimulationConfig:
     """One simulated run."""
 
     rate_hz: float = setting(10.0, "Frames a second.", unit="Hz", minimum=0.5, maximum=2000.0)
+    rig: str = setting(
+        "preset",
+        "The cameras that fly: those of the preset, two thermal ones, or a visible and a thermal.",
+        choices=("preset", "stereo", "visible_thermal"),
+    )
     duration_s: float | None = setting(
         None, "Stop after this time; empty runs to the end.", unit="s", minimum=0.0,
         maximum=100000.0,

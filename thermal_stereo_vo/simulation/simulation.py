@@ -153,6 +153,7 @@ class VisibleSensor:
 
     def __init__(self, simulation: Simulation, camera: int) -> None:
         self._illumination = simulation.plan.weather.illumination
+        self._config = simulation.config.visible
         self._camera = VisibleCamera(
             simulation.config.visible, self._illumination, (simulation.seed, 21, camera)
         )
@@ -162,5 +163,6 @@ class VisibleSensor:
 
     def frame(self, signal: NDArray[np.uint16] | None, exposure: Exposure) -> RawFrame:
         assert signal is not None
-        image = self._camera.expose(signal, self._illumination, exposure.index)
+        lit = self._config.sees_light(exposure.time_s)
+        image = self._camera.expose(signal, self._illumination if lit else 0.0, exposure.index)
         return RawFrame(image, exposure.stamp_ns, VISIBLE, exposure.index)

@@ -184,6 +184,18 @@ def wander(
     return with_unrest(amount)
 
 
+def glide(start_m: ArrayLike, end_m: ArrayLike, duration_s: float) -> Motion:
+    """Straight from start to end at a steady speed, looking along +x; on the spot where equal."""
+    knot_s = 0.25
+    count = int(np.ceil(duration_s / knot_s)) + 2 * _DEGREE
+    start = np.asarray(start_m, float)
+    share = np.clip((np.arange(count) - _DEGREE) / (count - 2.0 * _DEGREE), 0.0, 1.0)
+    place = start + share[:, None] * (np.asarray(end_m, float) - start)
+    knots = _knots(count, knot_s)
+    still = BSpline(knots, np.zeros((count, 3)), _DEGREE)
+    return Motion(BSpline(knots, place, _DEGREE), still, duration_s)
+
+
 def _turn_rate_rad_s(angles: Floats, rates: Floats) -> Floats:
     """(N,) length of the angular velocity of angles (N, 3) yaw, pitch, roll and their rates."""
     _, pitch, roll = angles.T
