@@ -32,14 +32,14 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "nodes/fastdds.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", files("config/*.yaml")),
+        (f"share/{NAME}/config", [*files("config/*.yaml"), f"{NAME}/nodes/fastdds.xml"]),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
     ],
-    zip_safe=True,
+    zip_safe=False,
     entry_points={
         "console_scripts": [f"{node} = {NAME}.nodes.{node}:main" for node in NODES],
     },

@@ -142,9 +142,15 @@ def test_installed_tree_is_complete(installed: Path) -> None:
     share = installed / "share" / NAME
     assert (share / "package.xml").is_file()
     assert (installed / "share" / "ament_index" / "resource_index" / "packages" / NAME).is_file()
-    for folder, pattern in (("config", "*.yaml"), ("launch", "*.launch.py")):
+    profile = Path("nodes", "fastdds.xml")
+    assert (root / NAME / profile).read_bytes() == (REPOSITORY / NAME / profile).read_bytes()
+    for folder, pattern, more in (
+        ("config", "*.yaml", {profile.name}),
+        ("launch", "*.launch.py", set()),
+    ):
         wanted = {path.name for path in (REPOSITORY / folder).glob(pattern)}
         assert wanted
+        wanted |= more
         assert {path.name for path in (share / folder).iterdir()} == wanted
 
 

@@ -39,6 +39,7 @@ from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.datasets.registry import open_dataset
 from thermal_stereo_vo.nodes import conversions
 from thermal_stereo_vo.nodes.stereo_input import EYES
+from thermal_stereo_vo.nodes.transport import make_room_for_images
 from thermal_stereo_vo.nodes.vitals import processor_s, resident_mb
 from thermal_stereo_vo.stereo.rectification import RectificationConfig, with_rectification
 
@@ -346,6 +347,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not (args.seconds > 0 and args.rate > 0 and args.pairs >= 3):
         parser.error("--seconds and --rate must be positive, --pairs at least 3")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    make_room_for_images()
     try:
         rig, frames = _images(args.source, args.pairs, args.rate)
         figures = benchmark_onboard(

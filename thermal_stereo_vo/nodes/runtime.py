@@ -33,6 +33,7 @@ from thermal_stereo_vo.core.config import describe, settings_of
 from thermal_stereo_vo.core.errors import ThermalStereoError
 from thermal_stereo_vo.nodes.conversions import diagnostics_to_msg
 from thermal_stereo_vo.nodes.parameters import Parameters
+from thermal_stereo_vo.nodes.transport import make_room_for_images
 from thermal_stereo_vo.outputs.ros_fields import ERROR, WARN, DiagnosticFields
 from thermal_stereo_vo.pipeline import Config as PipelineConfig
 
@@ -378,6 +379,7 @@ def _spin(
     """Run the node until ``stop`` or the end of its context; returns what went wrong."""
     node: BaseNode[Any] | None = None
     failure: BaseException | None = None
+    make_room_for_images()
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     try:
