@@ -18,6 +18,7 @@ from thermal_stereo_vo.odometry.feature_based.frame_pose import (
     ransac_frame_pose,
     refine_frame_pose,
     robust_sigma,
+    samples_needed,
 )
 
 from .stereo_problems import CAMERA, seen_points
@@ -349,6 +350,38 @@ def test_samples_begin_with_the_best_and_end_with_all():
     np.testing.assert_array_equal(samples, prosac_samples(np.random.default_rng(0), 200, 300))
     few = prosac_samples(np.random.default_rng(0), 3, 50)
     assert set(few.ravel()) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("inliers", [20, 50, 80, 95])
+def test_as_many_samples_as_find_inliers_alone_with_the_confidence(rng, inliers):
+    needed = samples_needed(inliers, 100, 0.9, 10**6)
+    clean = np.all(rng.random((4000, needed, 3)) < inliers / 100, axis=2)
+    assert np.mean(np.any(clean, axis=1)) > 0.88
+    fewer = np.mean(np.any(clean[:, 1:], axis=1)) if needed > 1 else 0.0
+    assert fewer < 0.92
+
+
+def test_no_more_samples_than_there_are_and_none_where_all_fit():
+    assert samples_needed(100, 100, 0.999, 50) == 0
+    assert samples_needed(0, 100, 0.999, 50) == 50
+    assert samples_needed(20, 100, 0.999, 50) == 50
+
+
+def test_a_good_start_needs_few_samples(rng):
+    """The best sample of all stands behind the few that are still tried."""
+    frame = make_frame(rng, 60, sigma_px=0.1, depth_sigma_px=0.02)
+    observed = frame.observed.copy()
+    observed[:15] += 30.0
+    samples = np.zeros((40, 3), np.int64)
+    samples[-1] = [20, 35, 50]
+    start = near(rng, frame.T_true, 1e-4)
+    count, T = ransac_frame_pose(start, *frame.geometry, observed, eyes_of(), samples, 1.0, 0.999)
+    assert 40 <= count <= 45
+    np.testing.assert_array_equal(T, start)
+    lost = frame.T_true @ exp_se3([0.5, 0.0, 0.0, 0.0, 0.1, 0.0])
+    count, T = ransac_frame_pose(lost, *frame.geometry, observed, eyes_of(), samples, 1.0, 0.999)
+    assert 40 <= count <= 45
+    assert np.abs(log_se3(T @ inverse(frame.T_true))).max() < 0.05
 
 
 EYES = {"both": slice(0, 4), "left": slice(0, 2), "right": slice(2, 4)}

@@ -235,12 +235,27 @@ def prosac_samples(rng: np.random.Generator, count: int, iterations: int) -> NDA
 
 
 @njit(cache=True, nogil=True)
+def samples_needed(inliers, count, confidence, most):  # type: ignore[no-untyped-def]
+    """How many triples hold one of inliers alone with this confidence; at most ``most``.
+
+    Fischler & Bolles, CACM 24, 1981, section II: log(1 - confidence) / log(1 - share^3).
+    """
+    share = (inliers / count) ** 3
+    if share >= 1.0:
+        return 0
+    if share <= 1e-9:
+        return most
+    return min(most, int(np.ceil(np.log(1.0 - confidence) / np.log(1.0 - share))))
+
+
+@njit(cache=True, nogil=True)
 def ransac_frame_pose(  # type: ignore[no-untyped-def]
     T_start, T_hosts, hosts, bearings, rhos, observed, eyes, samples, inlier_px, confidence
 ):
     """Best of many 3-point poses by the number of inliers; works with one eye or two.
 
-    Returns the number of inliers and (4, 4) T_camera_world.
+    ``T_start`` competes with them: where it is good already, few samples are tried.  Returns the
+    number of inliers and (4, 4) T_camera_world.
     """
     n = len(hosts)
     ones, firm = np.ones(3), np.full(3, 1e30)
@@ -249,7 +264,7 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
     best_T, T, T_new = T_start.copy(), T_start.copy(), T_start.copy()
     chosen = np.empty(n, np.bool_)
     best = mark_inliers(best_T, T_hosts, hosts, bearings, rhos, observed, eyes, inlier_px, chosen)
-    needed = len(samples)
+    needed = samples_needed(best, n, confidence, len(samples))
     for s in range(len(samples)):
         if s >= needed:
             break
@@ -281,11 +296,7 @@ def ransac_frame_pose(  # type: ignore[no-untyped-def]
         if count > best:
             best = count
             best_T[:] = T
-            ratio = (count / n) ** 3
-            if ratio >= 1.0:
-                break
-            if ratio > 1e-9:
-                needed = min(needed, int(np.ceil(np.log(1.0 - confidence) / np.log(1.0 - ratio))))
+            needed = samples_needed(best, n, confidence, needed)
     return best, best_T
 
 
