@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from thermal_stereo_vo.odometry.factory import describe
     from thermal_stereo_vo.outputs.bag_writer import ResultBag
     from thermal_stereo_vo.outputs.gate_events import GateEvents
+    from thermal_stereo_vo.outputs.map_file import MapFile
     from thermal_stereo_vo.outputs.run_folder import RunFolder, run_record
     from thermal_stereo_vo.outputs.snapshot import Snapshot
     from thermal_stereo_vo.outputs.trajectory_file import TrajectoryFiles
@@ -66,9 +67,14 @@ def run(args: argparse.Namespace) -> int:
         )
         snapshot = Snapshot((dataset.instants() or 20) // 2)
         events = GateEvents()
+        points = MapFile(folder.path / "map.ply")
         with progress(dataset.instants(), "pair", quiet=args.quiet) as step:
             replayed = replay(
-                dataset, calibration, config, [files, bag, snapshot, events], on_progress=step
+                dataset,
+                calibration,
+                config,
+                [files, bag, points, snapshot, events],
+                on_progress=step,
             )
         folder.write_json("timing.json", replayed.timing.as_dict())
         truth = dataset.ground_truth()
@@ -105,9 +111,11 @@ def run(args: argparse.Namespace) -> int:
                 truth,
                 metrics,
                 title=f"{dataset.name}: {describe(config.odometry)}",
-                left_image=snapshot.left_image,
-                matches_image=snapshot.matches_image,
+                left_image=snapshot.first_image,
+                matches_image=snapshot.second_image,
             )
+        for role, picture in snapshot.depth_maps.items():
+            folder.write_png(f"depth_{role}.png", picture)
         for sentence in events.sentences:
             say(f"gate: {sentence}")
         say(timing_report(replayed.timing))

@@ -6,7 +6,8 @@ the right camera of a pair has ``P[0, 3] = -fx * baseline``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +138,14 @@ def calibration_from_pair(
             RIGHT: _unrectified(right, offset_m),
         }
     return RigCalibration(cameras, rectified=rectified, origin=origin)
+
+
+def undistorted_rig(rig: RigCalibration, infos: Mapping[str, CameraInfoFields]) -> RigCalibration:
+    """The rig as its rectified images obey it: the pinholes of P, mounted where ``rig`` says."""
+    cameras = {
+        role: RigCamera(_pinhole(info), rig[role].T_rig_camera) for role, info in infos.items()
+    }
+    return replace(rig, cameras=cameras)
 
 
 def infos_from_calibration(calibration: RigCalibration) -> dict[str, CameraInfoFields]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from thermal_stereo_vo.core.calibration_files import load_calibration
 from thermal_stereo_vo.core.calibration_yaml import parse_camera_info, read_text
 from thermal_stereo_vo.core.camera_info import CameraInfoFields
+from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.stereo_capture import EYES, StereoCaptureConfig
 
@@ -27,6 +29,23 @@ def read_calibrations(config: StereoCaptureConfig) -> dict[str, CameraInfoFields
             if eye in infos:
                 check_size(eye, infos[eye], stream.width, stream.height)
     return infos
+
+
+def read_rig(url: str, roles: tuple[str, str]) -> RigCalibration:
+    """The rig of two cameras that no stereo pair of ``camera_info`` files can describe.
+
+    Raises CalibrationError for no file, or one that lacks a camera.
+    """
+    first, second = roles
+    if not url:
+        raise CalibrationError(
+            f"nobody says where the {first} and the {second} camera are on the rig: set "
+            "rig_calibration to its rig.yaml"
+        )
+    calibration = load_calibration(path_of(url))
+    for role in roles:
+        calibration[role]  # raises for one that is missing
+    return calibration
 
 
 def check_size(eye: str, info: CameraInfoFields, width: int, height: int) -> None:

@@ -3,8 +3,8 @@
 Images come from topics, from two frame grabbers or from a recording that plays them.  They take the
 way of the replay: gate, flat field, rectification, odometry.  The newest pair wins; pairs that come
 too fast are dropped and counted.  While the cameras correct themselves odom goes on with
-predictions; while the odometry is lost it is silent and status says why.  Images are published
-while somebody looks.
+predictions; while the odometry is lost, or its scale unknown, it is silent and status says why.
+Images are published while somebody looks.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from thermal_stereo_vo.core.camera_info import CameraInfoFields, calibration_from_pair
-from thermal_stereo_vo.core.cameras import LEFT, RIGHT
+from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame
 from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.nodes import conversions, runtime
-from thermal_stereo_vo.nodes.calibration_urls import read_calibrations
+from thermal_stereo_vo.nodes.calibration_urls import read_calibrations, read_rig
 from thermal_stereo_vo.nodes.dense_publisher import DensePublisher
 from thermal_stereo_vo.nodes.live_cameras import LiveCameras
 from thermal_stereo_vo.nodes.onboard_config import TOPICS, OnboardNodeConfig
@@ -51,7 +51,10 @@ INERTIAL = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
-    """Cameras, or ``left|right/image_raw``, to ``odom``, ``points`` and ``status``."""
+    """Cameras, or ``left|right/image_raw``, to ``odom``, ``points`` and ``status``.
+
+    With ``odometry.method: multispectral`` the cameras are ``visible`` and ``thermal``.
+    """
 
     NAME = "onboard"
     CONFIG = OnboardNodeConfig
@@ -88,17 +91,19 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
             config.mount.T_base_rig,
             odom_frame=config.odom_frame,
             base_frame=config.base_frame,
+            any_unit=config.odom_before_scale,
         )
         clock = self.get_clock()
         self._latency = LatencyMeter(lambda: int(clock.now().nanoseconds), config.latency_window)
         self._gates = GateLog(self.get_logger())
-        self._views = ViewPublisher(self)
+        self._roles = config.roles
+        self._views = ViewPublisher(self, self._roles)
         self._skew_ms = Window(config.latency_window)
         self._load = ProcessLoad()
         self._stages_ms: dict[str, float] = {}
         self._answered = 0
         self._imu_samples = 0
-        self._arrival_s: dict[str, float | None] = dict.fromkeys(EYES)
+        self._arrival_s: dict[str, float | None] = dict.fromkeys(self._roles)
         self._dense = DensePublisher(self, config, self.fail)
         self._thread = PipelineThread(self, self._publisher, newest_only=not config.process_all)
         self._images: ImageInput | None = None
@@ -127,7 +132,13 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
             config.process_all,
             self._on_received,
             self._thread.start_again,
+            roles=self._roles,
         )
+        self._opening = self.create_timer(0.1, self._open, clock=runtime.steady_clock())
+        if self._roles != EYES:
+            self._prepare(read_rig(config.rig_calibration, self._roles))
+            self.watch_inputs(self._images.topics)
+            return
         infos = read_calibrations(config)
         if len(infos) == 1:
             raise ConfigError("give both left_calibration and right_calibration, or neither")
@@ -136,7 +147,6 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
             self.watch_inputs(self._images.topics)
         else:
             self.watch_inputs(CalibrationInput(self, self._on_calibration).topics)
-        self._opening = self.create_timer(0.1, self._open, clock=runtime.steady_clock())
 
     def _open(self) -> None:
         """Ask for images as soon as they can be processed."""
@@ -149,6 +159,12 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
             self._opening.cancel()
 
     def _capture(self) -> None:
+        if self._roles != EYES:
+            raise ConfigError(
+                f"the cameras {' and '.join(self._roles)} of the method "
+                f"'{self.config.odometry.method}' come from topics: set source to {TOPICS}, or "
+                "another odometry.method for a stereo pair"
+            )
         self._cameras = LiveCameras(self, self.config, self._on_captured)
         infos = self._cameras.infos
         if len(infos) < len(EYES):
@@ -162,6 +178,9 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
     def _on_calibration(self, left: CameraInfoFields, right: CameraInfoFields) -> None:
         calibration = calibration_from_pair(left, right, origin="in camera_info")
         calibration.check_stereo()
+        self._prepare(calibration)
+
+    def _prepare(self, calibration: RigCalibration) -> None:
         self.problem = ""
         self._thread.prepare(
             self.config.pipeline,

@@ -28,7 +28,8 @@ class ResultPublisher(Observer):
     """Publishes ``odom``, ``status``, ``points`` and, when asked to, the transform.
 
     While the odometry is lost there is no pose, so ``odom`` and the transform fall silent, but
-    ``status`` goes on.  All carry the stamp of the image.
+    ``status`` goes on.  So they do, and ``points`` too, while lengths are in an arbitrary unit,
+    unless ``any_unit``.  All carry the stamp of the image.
     """
 
     wants_points = True
@@ -40,10 +41,12 @@ class ResultPublisher(Observer):
         *,
         odom_frame: str,
         base_frame: str,
+        any_unit: bool = False,
     ) -> None:
         self._T_base_rig = T_base_rig
         self._odom_frame = odom_frame
         self._base_frame = base_frame
+        self._any_unit = any_unit
         self._odom = node.create_publisher(
             Odometry, "odom", runtime.RELIABLE, qos_overriding_options=runtime.overridable()
         )
@@ -62,12 +65,14 @@ class ResultPublisher(Observer):
         return self._tf is not None
 
     def on_result(self, result: OdometryResult) -> None:
-        fields = odometry_fields(
-            result,
-            self._T_base_rig,
-            frame_id=self._odom_frame,
-            child_frame_id=self._base_frame,
-        )
+        fields = None
+        if self._may_be_told(result):
+            fields = odometry_fields(
+                result,
+                self._T_base_rig,
+                frame_id=self._odom_frame,
+                child_frame_id=self._base_frame,
+            )
         if fields is not None:
             self._odom.publish(conversions.odometry_to_msg(fields))
             if self.publish_tf and self._tf is not None:
@@ -78,8 +83,12 @@ class ResultPublisher(Observer):
         self._status.publish(conversions.diagnostics_to_msg(status_fields(result)))
 
     def on_points(self, stamp_ns: int, cloud: PointCloud) -> None:
-        if self._points.get_subscription_count() > 0:
+        told = self.last is not None and self._may_be_told(self.last)
+        if told and self._points.get_subscription_count() > 0:
             fields = point_cloud_fields(
                 stamp_ns, cloud, self._T_base_rig, frame_id=self._odom_frame
             )
             self._points.publish(conversions.point_cloud_to_msg(fields))
+
+    def _may_be_told(self, result: OdometryResult) -> bool:
+        return result.is_metric or self._any_unit

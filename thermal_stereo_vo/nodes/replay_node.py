@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -45,12 +45,14 @@ class ReplayNodeConfig:
 
     source: str = setting(
         "",
-        "Recording to play: a rosbag, a KITTI or EuRoC folder, a folder with left/ and right/, or "
-        "sim:PRESET.",
+        "Recording to play: a rosbag, a KITTI or EuRoC folder, a folder with left/ and right/ or "
+        "visible/ and thermal/, or sim:PRESET.",
     )
     calibration: str = setting("", "Calibration in place of the recording's own; empty for none.")
     left_topic: str = setting("", "Image topic of the left eye in a bag; empty to choose.")
     right_topic: str = setting("", "Image topic of the right eye in a bag; empty to choose.")
+    visible_topic: str = setting("", "Image topic of a visible camera; empty to choose.")
+    thermal_topic: str = setting("", "Image topic of the thermal one beside it; empty to choose.")
     rectification: RectificationConfig = group(
         RectificationConfig, "For a calibration that brings no R and P."
     )
@@ -71,7 +73,7 @@ class ReplayNodeConfig:
 
 
 class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
-    """A recording as a pair of cameras."""
+    """A recording as a pair of cameras: ``left`` and ``right``, or ``visible`` and ``thermal``."""
 
     NAME = "replay"
     CONFIG = ReplayNodeConfig
@@ -86,6 +88,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
     def __init__(self) -> None:
         super().__init__()
         self._dataset, self._infos = self._open()
+        self._roles = tuple(self._infos)
         self._sent = 0
         self._stamp_ns = 0
         # Pairs as the listeners will make them, so that no answer is awaited that cannot come.
@@ -96,7 +99,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
         self._clock_out = self.create_publisher(Clock, "/clock", runtime.RELIABLE)
         self._info_out = {
             eye: self.create_publisher(CameraInfo, f"{eye}/camera_info", runtime.RELIABLE)
-            for eye in EYES
+            for eye in self._roles
         }
         self._image_out = {
             eye: self.create_publisher(
@@ -105,7 +108,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
                 runtime.IMAGES_ALL,
                 qos_overriding_options=runtime.overridable(),
             )
-            for eye in EYES
+            for eye in self._roles
         }
         self.create_subscription(DiagnosticArray, "status", self._on_status, runtime.RELIABLE)
         self._player = threading.Thread(target=self._play, name="player", daemon=True)
@@ -118,12 +121,17 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
         options = SourceOptions(
             left_topic=config.left_topic or None,
             right_topic=config.right_topic or None,
+            visible_topic=config.visible_topic or None,
+            thermal_topic=config.thermal_topic or None,
             calibration=Path(config.calibration) if config.calibration else None,
         )
         dataset, reason = open_dataset(config.source, options)
         self.get_logger().info(f"{config.source}: {reason}")
-        calibration, _ = with_rectification(require_calibration(dataset), config.rectification)
-        return dataset, infos_from_calibration(calibration)
+        calibration = require_calibration(dataset)
+        if dataset.cameras == EYES:
+            calibration, _ = with_rectification(calibration, config.rectification)
+        used = {role: calibration[role] for role in dataset.cameras}
+        return dataset, infos_from_calibration(replace(calibration, cameras=used))
 
     def _play(self) -> None:
         try:
@@ -131,7 +139,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
             start_s = time.monotonic()
             first_ns: int | None = None
             for frame in self._dataset.frames():
-                if frame.camera not in EYES:
+                if frame.camera not in self._roles:
                     continue
                 first_ns = frame.stamp_ns if first_ns is None else first_ns
                 if self.config.rate > 0:
@@ -155,10 +163,10 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
     def _wait_for_subscribers(self) -> None:
         """The calibration goes out meanwhile, as some ask for images only when they have it."""
         while not self._closing.is_set():
-            for eye in EYES:
+            for eye in self._roles:
                 self._send_info(eye, self._stamp_ns)
             wanted = self.config.subscribers
-            if all(self._image_out[eye].get_subscription_count() >= wanted for eye in EYES):
+            if all(self._image_out[eye].get_subscription_count() >= wanted for eye in self._roles):
                 return
             self._closing.wait(INFO_PERIOD_S)
 
@@ -189,7 +197,7 @@ class ReplayNode(runtime.BaseNode[ReplayNodeConfig]):
         eye = frame.camera
         if self.config.rate == 0:
             self._tell_time(frame.stamp_ns)
-            pairs = list(self._pairer.push(EYES.index(eye), frame))
+            pairs = list(self._pairer.push(self._roles.index(eye), frame))
             with self._answer:
                 self._unanswered.extend(pair.stamp_ns for pair in pairs)
         self._send_info(eye, frame.stamp_ns)

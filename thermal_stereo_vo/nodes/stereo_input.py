@@ -34,18 +34,20 @@ def patient(pairing: PairingConfig) -> PairingConfig:
 
 
 class CalibrationInput:
-    """``left|right/camera_info``: tells both whenever one has changed."""
+    """``<role>/camera_info`` of two cameras: tells both whenever one has changed."""
 
     def __init__(
         self,
         node: runtime.BaseNode[Any],
         on_calibration: Callable[[CameraInfoFields, CameraInfoFields], None],
+        roles: tuple[str, str] = EYES,
     ) -> None:
         self._node = node
         self._on_calibration = on_calibration
         self._infos: dict[str, CameraInfoFields] = {}
-        self.topics = [f"{eye}/camera_info" for eye in EYES]
-        for eye, topic in zip(EYES, self.topics, strict=True):
+        self._roles = roles
+        self.topics = [f"{eye}/camera_info" for eye in roles]
+        for eye, topic in zip(roles, self.topics, strict=True):
             node.create_subscription(
                 CameraInfo, topic, partial(self._on_info, eye, topic), runtime.RELIABLE
             )
@@ -57,14 +59,15 @@ class CalibrationInput:
             if info == self._infos.get(eye):
                 return
             self._infos[eye] = info
-            if len(self._infos) == len(EYES):
-                self._on_calibration(self._infos[LEFT], self._infos[RIGHT])
+            if len(self._infos) == len(self._roles):
+                first, second = (self._infos[role] for role in self._roles)
+                self._on_calibration(first, second)
         except ThermalStereoError as error:
             self._node.refuse(error)
 
 
 class ImageInput:
-    """``left|right/<name>`` as pairs, from ``open`` to ``close``.
+    """``<role>/<name>`` of two cameras as pairs, from ``open`` to ``close``.
 
     With ``process_all`` every image is asked for, reliably, and may wait long for its partner: one
     eye's first images can come late, as each topic is discovered on its own.
@@ -84,8 +87,10 @@ class ImageInput:
         on_restart: Callable[[str], None],
         *,
         gated: bool = False,
+        roles: tuple[str, str] = EYES,
     ) -> None:
         self._node = node
+        self._roles = roles
         self._process_all = process_all
         self._gated = gated
         self._on_pair = on_pair
@@ -94,11 +99,11 @@ class ImageInput:
         self._pairing = pairing
         self._pairer = self._new_pairer()
         self._gates = self._new_gates()
-        self._received = dict.fromkeys(EYES, 0)
+        self._received = dict.fromkeys(roles, 0)
         self._repeated = 0
         self._subscriptions: list[Any] = []
         self.masks: dict[str, NDArray[np.bool_] | None] = {}
-        self.topics = [f"{eye}/{name}" for eye in EYES]
+        self.topics = [f"{eye}/{name}" for eye in roles]
 
     @property
     def is_open(self) -> bool:
@@ -115,7 +120,7 @@ class ImageInput:
                 runtime.IMAGES_ALL if self._process_all else self._newest(topic),
                 qos_overriding_options=runtime.overridable(),
             )
-            for eye, topic in zip(EYES, self.topics, strict=True)
+            for eye, topic in zip(self._roles, self.topics, strict=True)
         ]
         if self._gated:
             self._subscriptions.append(
@@ -141,13 +146,14 @@ class ImageInput:
     def counters(self) -> tuple[tuple[str, str], ...]:
         """For diagnostics."""
         counters = self._pairer.counters
+        first, second = self._roles
         return (
-            ("received_left", str(self._received[LEFT])),
-            ("received_right", str(self._received[RIGHT])),
+            (f"received_{first}", str(self._received[first])),
+            (f"received_{second}", str(self._received[second])),
             ("repeated_stamps", str(self._repeated)),
             ("pairs", str(counters.pairs)),
-            ("left_alone", str(counters.first_alone)),
-            ("right_alone", str(counters.second_alone)),
+            (f"{first}_alone", str(counters.first_alone)),
+            (f"{second}_alone", str(counters.second_alone)),
         )
 
     def _newest(self, topic: str) -> QoSProfile:
@@ -167,7 +173,7 @@ class ImageInput:
     def _new_gates(self) -> dict[str, GatedFrames]:
         waiting = runtime.PATIENT if self._process_all else MOST_WAITING
         tolerance_ns = round(self._pairing.tolerance_ms * 1e6)
-        return {eye: GatedFrames(eye, tolerance_ns, waiting) for eye in EYES}
+        return {eye: GatedFrames(eye, tolerance_ns, waiting) for eye in self._roles}
 
     def _on_image(self, eye: str, topic: str, message: Image) -> None:
         self._node.saw(topic)
@@ -196,7 +202,7 @@ class ImageInput:
     def _on_status(self, message: DiagnosticArray) -> None:
         for status in conversions.diagnostics_from_msg(message):
             found = report_from_fields(status)
-            if found is None or found[0] not in EYES:
+            if found is None or found[0] not in self._roles:
                 continue
             eye, report = found
             try:
@@ -206,5 +212,5 @@ class ImageInput:
 
     def _push(self, eye: str, frames: Iterable[RadiometricFrame]) -> None:
         for frame in frames:
-            for pair in self._pairer.push(EYES.index(eye), frame):
+            for pair in self._pairer.push(self._roles.index(eye), frame):
                 self._on_pair(pair)

@@ -15,7 +15,7 @@ from thermal_stereo_vo.core.transforms import (
     quat_xyzw_from_rotation,
     rotation_from_quat_xyzw,
 )
-from thermal_stereo_vo.odometry.factory import OdometryConfig
+from thermal_stereo_vo.odometry.factory import OdometryConfig, requirements_of
 from thermal_stereo_vo.pipeline import Config as PipelineConfig
 from thermal_stereo_vo.radiometry.agc import AgcConfig
 from thermal_stereo_vo.radiometry.thermometer import ThermometerConfig
@@ -27,7 +27,7 @@ _AHEAD_QUAT_XYZW = tuple(map(float, quat_xyzw_from_rotation(default_T_base_rig()
 
 @dataclass(frozen=True)
 class MountConfig:
-    """Where the rectified left camera sits on the vehicle."""
+    """Where the rig, which is the rectified left camera of two eyes, sits on the vehicle."""
 
     position_m: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "Optical centre in base_link (x forward, y left, z up).", unit="m"
@@ -71,11 +71,26 @@ class StereoOdometryNodeConfig:
         "The images come from thermal_correction: wait for what its status says of each, so that "
         "gaps and corrections are known, and an eye that is blind is known to be.",
     )
+    rig_calibration: str = setting(
+        "",
+        "rig.yaml of a visible and a thermal camera, file:///PATH, package://PACKAGE/PATH or a "
+        "path: where they are on the rig (odometry.method multispectral).",
+    )
+    odom_before_scale: bool = setting(
+        False,
+        "Publish odom and points also while the scale is not known yet, in an arbitrary unit "
+        "(odometry.method multispectral).",
+    )
     odom_frame: str = setting("odom", "Frame of the poses (REP-105).")
     base_frame: str = setting("base_link", "Frame of the vehicle (REP-105).")
     publish_tf: bool = setting(
         False, "Broadcast odom_frame -> base_frame; only one node may do so."
     )
+
+    @property
+    def roles(self) -> tuple[str, str]:
+        """The cameras that the method listens to."""
+        return requirements_of(self.odometry).roles
 
     @property
     def pipeline(self) -> PipelineConfig:

@@ -1,6 +1,8 @@
-"""Estimates the motion of a stereo rig from rectified images.
+"""Estimates the motion of a camera rig from rectified images.
 
-The projection matrices in ``camera_info`` are the calibration (names as in ``stereo_image_proc``).
+The projection matrices in ``camera_info`` are the calibration (names as in ``stereo_image_proc``);
+where a visible camera is from a thermal one, ``rig_calibration`` says (``visible|thermal/...`` are
+then the topics).
 First comes the calibration, then the kernels are compiled, then images are asked for.  While the
 odometry is lost ``odom`` is silent and ``status`` says why.
 """
@@ -14,9 +16,14 @@ from functools import partial
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from thermal_stereo_vo.core.camera_info import CameraInfoFields, calibration_from_pair
+from thermal_stereo_vo.core.camera_info import (
+    CameraInfoFields,
+    calibration_from_pair,
+    undistorted_rig,
+)
 from thermal_stereo_vo.core.frames import RadiometricFrame
 from thermal_stereo_vo.nodes import conversions, runtime
+from thermal_stereo_vo.nodes.calibration_urls import read_rig
 from thermal_stereo_vo.nodes.dense_publisher import DensePublisher
 from thermal_stereo_vo.nodes.pipeline_thread import PipelineThread
 from thermal_stereo_vo.nodes.publisher import ResultPublisher
@@ -38,6 +45,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         in   left/mask, right/mask                sensor_msgs/Image mono8, 255 = usable; optional
         in   status                               what thermal_correction says; with gated
         out  odom                                 nav_msgs/Odometry, silent while lost
+                                                  or while the scale is unknown
         out  points                               sensor_msgs/PointCloud2 in odom_frame
         out  disparity                            stereo_msgs/DisparityImage, while somebody listens
         out  points2                              sensor_msgs/PointCloud2 in odom_frame: the dense
@@ -57,6 +65,7 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
             config.mount.T_base_rig,
             odom_frame=config.odom_frame,
             base_frame=config.base_frame,
+            any_unit=config.odom_before_scale,
         )
         self._dense = DensePublisher(self, config, self.fail)
         self._thread = PipelineThread(self, self._publisher, newest_only=not config.process_all)
@@ -68,20 +77,28 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
             self._on_pair,
             self._thread.start_again,
             gated=config.gated,
+            roles=config.roles,
         )
-        for eye in EYES:
+        for eye in config.roles:
             self.create_subscription(
                 Image, f"{eye}/mask", partial(self._on_mask, eye), runtime.LATCHED
             )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_settings(config)
-        calibration = CalibrationInput(self, self._on_calibration)
+        calibration = CalibrationInput(self, self._on_calibration, config.roles)
         self.watch_inputs(calibration.topics)
         self._opening = self.create_timer(0.1, self._open, clock=runtime.steady_clock())
 
     def _on_calibration(self, left: CameraInfoFields, right: CameraInfoFields) -> None:
-        calibration = calibration_from_pair(left, right, rectified=True, origin="in camera_info")
-        calibration.check_stereo()
+        if self.config.roles == EYES:
+            calibration = calibration_from_pair(
+                left, right, rectified=True, origin="in camera_info"
+            )
+            calibration.check_stereo()
+        else:
+            rig = read_rig(self.config.rig_calibration, self.config.roles)
+            infos = dict(zip(self.config.roles, (left, right), strict=True))
+            calibration = undistorted_rig(rig, infos)
         self.problem = ""
         self._thread.prepare(self.config.pipeline, calibration, (self._dense,))
 
@@ -91,7 +108,8 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
             return
         self.watch_inputs(self._images.topics)
         if all(self.count_publishers(topic) > 0 for topic in self._images.topics) and all(
-            eye in self._images.masks or self.count_publishers(f"{eye}/mask") == 0 for eye in EYES
+            eye in self._images.masks or self.count_publishers(f"{eye}/mask") == 0
+            for eye in self.config.roles
         ):
             self._images.open()
             self._opening.cancel()

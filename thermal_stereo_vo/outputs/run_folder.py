@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 import thermal_stereo_vo
 from thermal_stereo_vo.core.cameras import RigCalibration
@@ -68,6 +69,10 @@ class RunFolder:
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Write ``content`` as JSON; numbers that are not finite become null."""
         write_text(self.path / name, to_json(content))
+
+    def write_png(self, name: str, picture: NDArray[np.uint8]) -> None:
+        """Write an (H, W) or (H, W, 3) BGR picture."""
+        cv2.imwrite(str(self.path / name), picture)
 
     def _refuse_foreign_content(self) -> None:
         if not self.directory.exists():
