@@ -59,6 +59,15 @@ def test_a_cell_holds_the_figures_of_its_run(truth):
     assert None in found.errors_m  # where it was lost
 
 
+def test_all_runs_are_drawn_in_one_world(truth):
+    """Whenever they found their scale: a run without error lies on the truth."""
+    for converged in (0, 100, FRAMES + 1):
+        found = cell(truth, converged=converged)
+        np.testing.assert_allclose(found.positions_m, found.true_positions_m, atol=1e-3)
+        from_start = truth.T_world_rig[0][:3, :3].T @ (truth.positions_m[-1] - truth.positions_m[0])
+        np.testing.assert_allclose(found.true_positions_m[-1], from_start, atol=1e-3)
+
+
 def test_a_method_in_metres_is_known_from_the_start(truth):
     found = cell(truth, converged=None, scale=0.97)
     assert found.converged_after_s == 0.0

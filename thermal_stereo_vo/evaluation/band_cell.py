@@ -93,7 +93,7 @@ def make_band_cell(
         report = ScaleReport(0.0, scale, metrics.ate_sim3_rmse_m, metrics.ate_rmse_m, None)
     metric = report.converged_after_s is not None
     fitted = aligned(comparison, Alignment.SIM3)
-    T_first_world = inverse(comparison.T_world_true[0])
+    T_first_world = inverse(truth.T_world_rig[0])
     return BandCell(
         flight,
         contender,
