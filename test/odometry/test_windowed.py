@@ -139,6 +139,21 @@ def test_the_map_is_what_the_last_frame_saw(flight, room):
     assert len(odometry.local_map().xyz) == 0
 
 
+def test_the_map_holds_when_a_keyframe_makes_room_for_another(flight, room):
+    """Points of the keyframe that goes are where they were, not seen from its successor."""
+    _, frames = flight
+    odometry = create("window=2", "windowed.keyframes.parallax_px=4")
+    full = []
+    for frame in frames:
+        result = odometry.process(frame)
+        if result.stats.keyframe:
+            full.append(odometry.local_map().xyz)
+    assert len(full) > 5
+    for xyz in full[3:]:
+        to_wall_m = np.minimum(np.abs(xyz - room.low), np.abs(xyz - room.high)).min(axis=1)
+        assert 1e-4 < np.percentile(to_wall_m, 80) < 0.12
+
+
 # ---------------------------------------------------------------------------- turn of the right eye
 
 

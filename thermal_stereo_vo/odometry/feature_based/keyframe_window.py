@@ -50,6 +50,14 @@ class WindowPoints:
         )
 
 
+def positions_m(points: WindowPoints, T_keyframe_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) world coordinates of points of keyframes with these poses (slots, 4, 4)."""
+    in_host = points.bearings / points.rhos[:, None]
+    T_world_host = np.stack([inverse(T) for T in T_keyframe_world])[points.hosts]
+    turned = np.einsum("nij,nj->ni", T_world_host[:, :3, :3], in_host)
+    return np.asarray(turned + T_world_host[:, :3, 3])
+
+
 class KeyframeWindow:
     """Fixed room for ``keyframes`` keyframes and ``capacity`` points; slots are used again.
 
@@ -122,10 +130,7 @@ class KeyframeWindow:
 
     def positions_m(self, points: WindowPoints) -> NDArray[np.float64]:
         """(N, 3) world coordinates."""
-        in_host = points.bearings / points.rhos[:, None]
-        T_world_host = np.stack([inverse(T) for T in self.T_keyframe_world])[points.hosts]
-        turned = np.einsum("nij,nj->ni", T_world_host[:, :3, :3], in_host)
-        return np.asarray(turned + T_world_host[:, :3, 3])
+        return positions_m(points, self.T_keyframe_world)
 
     def intensities(self, points: WindowPoints) -> NDArray[np.float32]:
         """(N,) counts of the points' pixels."""

@@ -2,8 +2,9 @@
 
 Each frame is tracked against the patches of a few keyframes, in both eyes and to a small part of a
 pixel; its pose comes from those observations together with the inverse depths of the points
-(``frame_pose``).  When the view has changed enough, the frame becomes a keyframe, and all keyframes
-of the window are adjusted together (``bundle_adjustment``) while the next image is on its way.
+(``frame_pose``).  When the view has changed enough, the frame becomes a keyframe: while the next
+image is on its way, it gets new points, and all keyframes of the window are adjusted together
+(``bundle_adjustment``).
 Where nothing moves no keyframe comes, so that nothing drifts at hover.  When patches are lost (a
 gap, a fast turn), descriptors find the way back to the newest keyframe.
 """
@@ -33,7 +34,11 @@ from thermal_stereo_vo.odometry.feature_based.extrinsics import (
 )
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig, FeatureMatcher
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import blindness
-from thermal_stereo_vo.odometry.feature_based.keyframe_window import KeyframeWindow
+from thermal_stereo_vo.odometry.feature_based.keyframe_window import (
+    KeyframeWindow,
+    WindowPoints,
+    positions_m,
+)
 from thermal_stereo_vo.odometry.feature_based.loop_matching import StereoFeatures
 from thermal_stereo_vo.odometry.feature_based.patch_tracker import (
     PatchTracker,
@@ -63,6 +68,24 @@ class _LastView:
     frame: RigFrame
     pyramids: Pyramids
     tracked: Tracked
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The points that a frame saw, as they were known then: the window goes on meanwhile."""
+
+    points: WindowPoints
+    T_keyframe_world: NDArray[np.float64]
+    intensity: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class _Completed:
+    """What became of a keyframe: its number of points, and the adjustment of points ``index``."""
+
+    points: int
+    index: NDArray[np.int64]
+    bundle: BundleSolution | None
 
 
 @dataclass(frozen=True)
@@ -138,9 +161,10 @@ class WindowedOdometry:
         throw_away = WindowedOdometry(*self._settings)
         for i, dtype in enumerate((np.uint8, np.uint16, np.uint8, np.uint16)):
             frame = synthetic_pair(i * 100_000_000, dtype)
-            throw_away._keyframe_count = 10**6  # every frame becomes a keyframe
             throw_away.process(frame)
             if throw_away._window is not None:
+                throw_away._finish_keyframe(throw_away._window)
+                throw_away._keyframe_count = 10**6  # every frame becomes a keyframe
                 throw_away._find_back(throw_away._window, frame)
 
     def reset(self, T_world_rig: NDArray[np.float64]) -> None:
@@ -149,7 +173,7 @@ class WindowedOdometry:
         self._forget()
 
     def _forget(self) -> None:
-        self._finish_bundle_unused()
+        self._finish_keyframe_unused()
         self._matcher.reset()
         self._tracker.reset()
         self._extrinsics = ExtrinsicsRefiner(self._config.extrinsics, self._room)
@@ -157,28 +181,28 @@ class WindowedOdometry:
         self._keyframe: RigFrame | None = None
         self._keyframe_features: StereoFeatures | None = None
         self._keyframe_count = 0
-        self._bundle: Future[BundleSolution | None] | None = None
-        self._bundle_index = np.zeros(0, np.int64)
+        self._completion: Future[_Completed] | None = None
         self._last_measured = self._state.pose
         self._last_measured_ns = 0
         self._last_covariance = np.zeros((6, 6))
         self._tracked: Tracked | None = None
+        self._seen: _Seen | None = None
         self._last_view: _LastView | None = None
 
     def local_map(self) -> PointCloud:
         """The points that the last frame saw."""
-        if self._window is None or self._tracked is None:
+        seen = self._seen
+        if seen is None:
             return PointCloud.empty()
-        points = self._tracked.points.take(np.flatnonzero(self._tracked.inliers))
-        return PointCloud(
-            self._window.positions_m(points).astype(np.float32), self._window.intensities(points)
-        )
+        xyz = positions_m(seen.points, seen.T_keyframe_world)
+        return PointCloud(xyz.astype(np.float32), seen.intensity)
 
     def process(self, frame: RigFrame) -> OdometryResult:
         """Track against the window; make a keyframe when the view has changed."""
         self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
+        self._seen = None
         if self._window is not None:
-            self._finish_bundle(self._window)
+            self._finish_keyframe(self._window)
             if len(frame.views) < 2:
                 self._keep_last_view(self._window)
         if not frame.views:
@@ -281,6 +305,8 @@ class WindowedOdometry:
         self._last_measured, self._last_measured_ns = pose, frame.stamp_ns
         self._last_covariance = tracked.pose.covariance
         self._last_view = _LastView(frame, pyramids, tracked) if both_eyes else None
+        seen = tracked.points.take(np.flatnonzero(tracked.inliers))
+        self._seen = _Seen(seen, window.T_keyframe_world.copy(), window.intensities(seen))
         if is_keyframe:
             if tracked.count < self._status_config.degraded_inliers:
                 # A thread of few points would let the adjustment swing old against new: what is
@@ -313,12 +339,10 @@ class WindowedOdometry:
         pyramids: Pyramids,
         tracked: Tracked | None,
     ) -> None:
-        """Take the frame into the window, give it new points, start the bundle adjustment."""
-        config = self._config
+        """Take the frame into the window; new points and the bundle adjustment come beside."""
         self._last_view = None
-        left, right = pyramids
+        left = pyramids[0]
         assert left is not None
-        assert right is not None
         occupied_px = np.zeros((0, 2))
         if tracked is None:
             window.add_keyframe(self._state.pose, np.zeros((6, 6)), left)
@@ -326,11 +350,29 @@ class WindowedOdometry:
             inliers = np.flatnonzero(tracked.inliers)
             occupied_px = window.add_keyframe(
                 self._state.pose,
-                config.covariance_scale * tracked.pose.covariance,
+                self._config.covariance_scale * tracked.pose.covariance,
                 left,
                 tracked.points.take(inliers),
                 tracked.observed[inliers],
             )
+        self._keyframe, self._keyframe_features = frame, None
+        self._completion = self._worker.submit(self._complete, window, frame, pyramids, occupied_px)
+
+    def _complete(
+        self,
+        window: KeyframeWindow,
+        frame: RigFrame,
+        pyramids: Pyramids,
+        occupied_px: NDArray[np.float64],
+    ) -> _Completed:
+        """Give the newest keyframe points of its own and adjust the window.
+
+        No pose waits for it; nothing else touches the window before ``_finish_keyframe``.
+        """
+        config = self._config
+        left, right = pyramids
+        assert left is not None
+        assert right is not None
         view = frame.views[LEFT]
         pixels, right_x_px = find_stereo_points(
             window,
@@ -343,16 +385,16 @@ class WindowedOdometry:
             config.tracking,
         )
         window.add_points(pixels, right_x_px, view.image[pixels[:, 1], pixels[:, 0]])
-        self._keyframe_count = len(pixels) + len(occupied_px)
-        self._keyframe, self._keyframe_features = frame, None
-        if len(window.order) > 1:
-            problem, self._bundle_index = window.bundle_problem(config.tracking.radial_trust)
-            self._bundle = self._worker.submit(
-                adjust_bundle,
-                problem,
-                sigma_floor_px=config.tracking.sigma_floor_px,
-                iterations=config.keyframes.bundle_iterations,
-            )
+        count = len(pixels) + len(occupied_px)
+        if len(window.order) == 1:
+            return _Completed(count, np.zeros(0, np.int64), None)
+        problem, index = window.bundle_problem(config.tracking.radial_trust)
+        solution = adjust_bundle(
+            problem,
+            sigma_floor_px=config.tracking.sigma_floor_px,
+            iterations=config.keyframes.bundle_iterations,
+        )
+        return _Completed(count, index, solution)
 
     def _keep_last_view(self, window: KeyframeWindow) -> None:
         """Make a keyframe of the last good frame, as an eye is blind now.
@@ -365,30 +407,32 @@ class WindowedOdometry:
             return
         with self._timer.stage("keyframe"):
             self._add_keyframe(window, last.frame, last.pyramids, last.tracked)
-        self._finish_bundle(window)
+        self._finish_keyframe(window)
 
-    def _finish_bundle(self, window: KeyframeWindow) -> None:
-        """Wait for the adjustment that the last frame started, and take it over.
+    def _finish_keyframe(self, window: KeyframeWindow) -> None:
+        """Wait for the points and the adjustment that the last frame started, and take them over.
 
         It is always taken over just before the next frame, however fast it was: timing must not
         change results.
         """
-        if self._bundle is None:
+        if self._completion is None:
             return
-        with self._timer.stage("wait for bundle"):
-            solution = self._bundle.result()
-        self._bundle = None
+        with self._timer.stage("wait for keyframe"):
+            completed = self._completion.result()
+        self._completion = None
+        self._keyframe_count = completed.points
+        solution = completed.bundle
         if solution is not None:
-            window.apply(solution, self._bundle_index, self._config.tracking.outlier_sigmas)
+            window.apply(solution, completed.index, self._config.tracking.outlier_sigmas)
             self._extrinsics.learn(window, solution)
             window.right_turn_rad = self._extrinsics.turn_rad
             # The last frame was that keyframe: the pose goes on from where it is now known to be.
             self._state.pose = self._last_measured = window.newest_pose()
 
-    def _finish_bundle_unused(self) -> None:
-        bundle = getattr(self, "_bundle", None)
-        if bundle is not None:
-            bundle.result()
+    def _finish_keyframe_unused(self) -> None:
+        completion = getattr(self, "_completion", None)
+        if completion is not None:
+            completion.result()
 
     # --- start and recovery -----------------------------------------------------------------------
 
@@ -412,6 +456,7 @@ class WindowedOdometry:
         window.right_turn_rad = self._extrinsics.turn_rad
         self._last_measured, self._last_measured_ns = self._state.pose, frame.stamp_ns
         self._add_keyframe(window, frame, self._pyramids(frame), None)
+        self._finish_keyframe(window)
         enough = len(window.points()) >= self._config.tracking.min_inliers
         self._window = window if enough else None
 
