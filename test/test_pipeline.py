@@ -209,6 +209,18 @@ def test_a_rig_no_method_can_use_is_refused_before_any_frame(room):
         Pipeline(CONFIG, one_place)
 
 
+def test_a_recording_of_another_rig_is_refused_before_any_frame(room, raws):
+    recording = Recording(raws, room.calibration())
+    recording.cameras = ("visible", "thermal")
+    recorder = Recorder()
+    with pytest.raises(
+        DatasetError, match="'room' has the cameras visible, thermal, but the method 'feature' need"
+    ):
+        replay(recording, room.calibration(), CONFIG, [recorder])
+    assert recorder.heard == []
+    assert recorder.closed == 1
+
+
 def test_stage_times_are_told_once(room, raws):
     pipeline = Pipeline(CONFIG, room.calibration())
     for raw in raws[:2]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.imu import ImuSample
 from thermal_stereo_vo.core.results import OdometryResult
 from thermal_stereo_vo.datasets.base import Dataset, WithImu
@@ -36,8 +37,18 @@ def replay(
     Kernels are warm before the first frame.  Reading and decoding is not part of the times;
     ``on_progress`` is called after each rig frame.  Observers are closed also after an error.
     Inertial measurements go before the frames that they reach up to.
+
+    Raises DatasetError for a recording without the cameras that the method needs.
     """
     pipeline = Pipeline(config, calibration, observers)
+    needed = pipeline.rectifier.roles
+    if not set(needed) <= set(dataset.cameras):
+        pipeline.close()
+        raise DatasetError(
+            f"the recording '{dataset.name}' has the cameras {', '.join(dataset.cameras)}, but the "
+            f"method '{config.odometry.method}' needs {' and '.join(needed)}: choose another "
+            "--method, or a calibration and a recording of the same rig"
+        )
     timer = FrameTimer()
     results: list[OdometryResult] = []
     try:

@@ -159,6 +159,11 @@ def test_cameras_of_two_bands_are_those_asked_for():
     assert choose_image_topics(BANDS, visible="/rig/colour")[0]["thermal"] == "/thermal/image_raw"
 
 
+def test_a_bag_of_one_band_says_which_is_missing():
+    with pytest.raises(DatasetError, match="has /visible/image_raw but no /thermal/image_raw"):
+        choose_image_topics(["/visible/image_raw", "/rig/heat"])
+
+
 @pytest.mark.parametrize(
     ("asked", "message"),
     [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermal_stereo_vo.core.cameras import RigCalibration
+from thermal_stereo_vo.core.cameras import LEFT, RIGHT, RigCalibration
 from thermal_stereo_vo.core.errors import DatasetError
 from thermal_stereo_vo.core.frames import RawFrame
 from thermal_stereo_vo.core.results import OdometryResult
@@ -22,7 +22,7 @@ LEAST_PAIRS = 3
 
 @dataclass(frozen=True)
 class Recorded:
-    """Frames of a source with what is known of it; ``truth`` is of the rectified left camera."""
+    """Frames of a source with what is known of it; ``truth`` is of the rectified rig."""
 
     name: str
     cameras: tuple[str, ...]
@@ -73,7 +73,7 @@ def record(
     calibration = require_calibration(dataset)
     frames = tuple(_first_pairs(dataset, pairs, on_progress))
     truth = dataset.ground_truth()
-    if truth is not None:
+    if truth is not None and {LEFT, RIGHT} <= set(calibration.cameras):
         truth = rectified_truth(truth, Rectifier(calibration, rectification))
     recorded = Recorded(dataset.name, tuple(dataset.cameras), calibration, frames, truth)
     if recorded.pairs < LEAST_PAIRS:

@@ -53,6 +53,7 @@ def choose_image_topics(
             return pair, f"{pair[first]} and {pair[second]} are the default topics"
     candidates = sorted(_pairs(topics), key=lambda pair: (_rank(pair[0]), pair))
     if not candidates:
+        _refuse_one_band(topics)
         raise DatasetError(
             f"the bag has no pair of image topics that looks like left and right {_list(topics)}: "
             "name them with --left-topic and --right-topic"
@@ -158,6 +159,15 @@ def _two_bands(
     if found[VISIBLE] == found[THERMAL]:
         raise DatasetError(f"both cameras are '{found[VISIBLE]}': name two different topics")
     return found, f"{found[VISIBLE]} and {found[THERMAL]} were asked for"
+
+
+def _refuse_one_band(topics: Sequence[str]) -> None:
+    for role, other in ((VISIBLE, THERMAL), (THERMAL, VISIBLE)):
+        if f"/{role}/image_raw" in topics:
+            raise DatasetError(
+                f"the bag has /{role}/image_raw but no /{other}/image_raw {_list(topics)}: name "
+                f"the images of the {other} camera with --{other}-topic"
+            )
 
 
 def _pairs(topics: Sequence[str]) -> list[tuple[str, str]]:
