@@ -80,6 +80,22 @@ def test_cameras_stay_where_the_calibration_says():
     assert not undistorter.rectified_calibration.rectified
 
 
+@pytest.mark.parametrize("role", ROLES)
+def test_alpha_goes_from_the_pinhole_of_the_lens_to_the_whole_image(role):
+    raw = RIG[role].camera
+    own, half, whole = (
+        Undistorter(RIG, ROLES, alpha).rectified_calibration[role].camera for alpha in (0, 0.5, 1)
+    )
+    assert own == raw.without_distortion()
+    assert half.fx == pytest.approx((own.fx + whole.fx) / 2)
+    corners = np.array([[0, 0], [raw.width - 1, 0], [0, raw.height - 1]], float)
+    outside = [
+        np.maximum(-pixels, pixels - raw.size).max()
+        for pixels in (camera.project(raw.unproject(corners)) for camera in (own, whole))
+    ]
+    assert outside[1] < 8.0 < outside[0]
+
+
 def test_pixels_never_seen_are_masked_and_keep_out_those_asked_for():
     undistorter = Undistorter(RIG, ROLES, alpha=1.0)
     image = np.full((240, 376), 900, np.uint16)

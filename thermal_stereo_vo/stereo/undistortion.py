@@ -23,8 +23,9 @@ SAMPLES_PER_SIDE = 24
 class Undistorter:
     """Views without distortion of a rig whose cameras may differ in size, lens and band.
 
-    The rig frame stays that of the calibration.  ``alpha`` 0 keeps only pixels that were seen, 1
-    the whole raw image (OpenCV ``getOptimalNewCameraMatrix``).
+    The rig frame stays that of the calibration.  ``alpha`` 0 keeps the pinhole of the lens, so that
+    the middle of the picture is sampled as finely as it was taken; 1 keeps the whole raw image
+    (OpenCV ``getOptimalNewCameraMatrix``).
 
     Raises CalibrationError for cameras that look at different places.
     """
@@ -87,13 +88,16 @@ def _remapped(calibration: RigCalibration, role: str, alpha: float) -> RemappedC
 def _ideal(raw: Camera, alpha: float) -> Camera:
     if not raw.has_distortion:
         return raw.without_distortion()
-    if raw.model is DistortionModel.EQUIDISTANT:
-        K = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            raw.matrix, coefficients(raw), raw.size, np.eye(3), balance=alpha
-        )
-    else:
-        K = cv2.getOptimalNewCameraMatrix(raw.matrix, coefficients(raw), raw.size, alpha)[0]
-    return Camera(raw.width, raw.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    K = raw.matrix
+    if alpha > 0.0:
+        if raw.model is DistortionModel.EQUIDISTANT:
+            whole = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+                K, coefficients(raw), raw.size, np.eye(3), balance=1.0
+            )
+        else:
+            whole = cv2.getOptimalNewCameraMatrix(K, coefficients(raw), raw.size, 1.0)[0]
+        K = (1.0 - alpha) * K + alpha * whole
+    return Camera(*raw.size, *(float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
 
 
 def _check_common_view(cameras: Mapping[str, RemappedCamera], origin: str) -> None:
