@@ -97,7 +97,7 @@ def _ideal(raw: Camera, alpha: float) -> Camera:
         else:
             whole = cv2.getOptimalNewCameraMatrix(K, coefficients(raw), raw.size, 1.0)[0]
         K = (1.0 - alpha) * K + alpha * whole
-    return Camera(*raw.size, *(float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    return Camera(*raw.size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 
 
 def _check_common_view(cameras: Mapping[str, RemappedCamera], origin: str) -> None:
