@@ -7,7 +7,13 @@ import pytest
 from thermal_stereo_vo.core.config import from_mapping, settings_of, with_overrides
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.odometry.direct.stereo_method import StereoDirectOdometry
-from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry, describe
+from thermal_stereo_vo.odometry.factory import (
+    OdometryConfig,
+    create_odometry,
+    describe,
+    methods_for,
+    requirements_of,
+)
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedOdometry
 
@@ -44,10 +50,19 @@ def test_a_window_of_one_is_refused():
         create_odometry(config("window=1"))
 
 
+@pytest.mark.parametrize("method", ["direct", "multispectral"])
 @pytest.mark.parametrize("window", [0, 1])
-def test_the_direct_method_needs_a_window(window):
-    with pytest.raises(ConfigError, match=rf"window = {window} leaves the direct method nothing"):
-        create_odometry(config("method=direct", f"window={window}"))
+def test_direct_methods_need_a_window(method, window):
+    with pytest.raises(ConfigError, match=rf"window = {window} leaves the {method} method nothing"):
+        create_odometry(config(f"method={method}", f"window={window}"))
+
+
+def test_the_method_of_two_bands_asks_for_them():
+    odometry = create_odometry(config("method=multispectral"))
+    assert odometry.requirements == requirements_of(config("method=multispectral"))
+    assert odometry.requirements.roles == ("visible", "thermal")
+    assert not odometry.requirements.rectified_pair
+    assert methods_for(("visible", "thermal")) == ("multispectral",)
 
 
 @pytest.mark.parametrize(

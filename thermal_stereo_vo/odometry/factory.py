@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
+from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
+from thermal_stereo_vo.odometry.direct.multispectral_method import MultispectralOdometry
 from thermal_stereo_vo.odometry.direct.stereo_method import DirectConfig, StereoDirectOdometry
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
@@ -19,7 +21,7 @@ from thermal_stereo_vo.odometry.interface import Odometry, Requirements
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
 
-METHODS = ("feature", "direct")
+METHODS = ("feature", "direct", "multispectral")
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,17 @@ class OdometryConfig:
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
     direct: DirectConfig = group(DirectConfig, "Direct odometry.")
+    multispectral: MultispectralConfig = group(
+        MultispectralConfig, "Direct visible + thermal odometry."
+    )
 
 
 def requirements_of(config: OdometryConfig) -> Requirements:
     """What the method that the settings name asks of its frames."""
     if config.method == "direct":
         return StereoDirectOdometry.requirements
+    if config.method == "multispectral":
+        return MultispectralOdometry.requirements
     return (
         FrameToFrameOdometry.requirements if config.window == 0 else WindowedOdometry.requirements
     )
@@ -70,12 +77,16 @@ def create_odometry(config: OdometryConfig, gyro: GyroIntegrator | None = None) 
 
     Raises ConfigError for a window of one keyframe, which could adjust nothing.
     """
+    if config.method in ("direct", "multispectral") and config.window < 2:
+        raise ConfigError(
+            f"odometry.window = {config.window} leaves the {config.method} method nothing to "
+            "optimise: give 2 and more"
+        )
+    if config.method == "multispectral":
+        return MultispectralOdometry(
+            config.multispectral, config.status, config.window, config.threads, gyro, config.seed
+        )
     if config.method == "direct":
-        if config.window < 2:
-            raise ConfigError(
-                f"odometry.window = {config.window} leaves the direct method nothing to optimise: "
-                "give 2 and more"
-            )
         return StereoDirectOdometry(
             config.direct, config.status, config.window, config.threads, gyro
         )

@@ -86,6 +86,25 @@ class KeyframePoses:
         self._relative.pop(oldest, None)
         return oldest
 
+    def drop(self, slot: int) -> None:
+        """Forget one keyframe; those left keep their poses."""
+        if slot == self.order[0]:
+            self.drop_oldest()
+        else:
+            self.order.remove(slot)
+            self._relative.pop(slot)
+
+    def rescale(self, factor: float, about_m: NDArray[np.float64]) -> None:
+        """Multiply all lengths, positions as seen from ``about_m`` (3,)."""
+        lengths = np.array([factor] * 3 + [1.0] * 3)
+        both = np.outer(lengths, lengths)
+        for slot in self.order:
+            T_world_slot = inverse(self.T_k_w[slot])
+            T_world_slot[:3, 3] = about_m + factor * (T_world_slot[:3, 3] - about_m)
+            self.T_k_w[slot] = inverse(T_world_slot)
+        self._oldest_covariance = self._oldest_covariance * both
+        self._relative = {slot: known * both for slot, known in self._relative.items()}
+
     def _pose(self, slot: int) -> PoseEstimate:
         oldest = self.order[0]
         T_world_oldest = inverse(self.T_k_w[oldest])

@@ -57,6 +57,13 @@ class ConstantVelocity:
         if self.twist is not None:
             self.twist[3:] = log_so3(rotation) / duration_s
 
+    def rescale(self, factor: float) -> None:
+        """Multiply all lengths."""
+        lengths = np.array([factor] * 3 + [1.0] * 3)
+        if self.twist is not None:
+            self.twist = self.twist * lengths
+        self._recent = deque((duration_s, twist * lengths) for duration_s, twist in self._recent)
+
     def forget(self) -> None:
         """Drop the twist."""
         self.twist = None

@@ -82,6 +82,13 @@ class OdometryState:
             self._by_bolometer = by_bolometer
         return self._step_s
 
+    def rescale(self, factor: float, pose: PoseEstimate) -> None:
+        """Lengths were in a unit of ``factor`` so far; the rig is at ``pose`` in the new one."""
+        lengths = np.array([factor] * 3 + [1.0] * 3)
+        self.pose = pose
+        self._twist_covariance *= np.outer(lengths, lengths)
+        self.prior.rescale(factor)
+
     def predicted(self) -> NDArray[np.float64]:
         """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
         if self.is_lost:

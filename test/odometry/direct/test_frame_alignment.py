@@ -53,13 +53,15 @@ def residuals(scene, step, depth_step):
     return out
 
 
-def arguments(scene, free_depth):
+def arguments(scene, free_depth, bands=False, bolometers=None):
+    bolometers = np.zeros(2, np.bool_) if bolometers is None else bolometers
     T_camera_rig = np.stack([inverse(T) for T in T_RIG_CAMERA])
     return (
         scene["images"], np.ones(2, bool), CAMERAS, T_camera_rig, 1.0, scene["T_host_world"],
-        scene["host_light"], T_RIG_CAMERA, scene["hosts"], scene["host_cameras"], scene["bearings"],
+        scene["host_light"], np.tile(T_RIG_CAMERA, (2, 1, 1, 1)),
+        scene["hosts"], scene["host_cameras"], scene["bearings"],
         scene["rhos"], scene["information"], 1 / CAMERAS[:, :2], scene["patches"], scene["trusts"],
-        HUBER, GATE, free_depth,
+        bands, bolometers, HUBER, GATE, free_depth,
     )  # fmt: skip
 
 
@@ -100,6 +102,26 @@ def test_equations_are_those_of_the_dense_problem(scene, free_depth):
     np.testing.assert_allclose(
         energies, energy.sum(axis=2) / scene["trusts"].sum(axis=1), rtol=1e-3, atol=1e-3
     )
+
+
+def test_a_camera_of_another_band_looks_for_its_own_points_only(scene):
+    A, g, energies = np.zeros((10, 10)), np.zeros(10), np.empty((2, N))
+    given = arguments(scene, False, True)
+    _, seen = linearise_frame(scene["T"], scene["light"], *given, A, g, energies)
+    assert seen == N
+    assert np.isfinite(energies[0]).all()
+    assert np.isnan(energies[1]).all()
+    np.testing.assert_array_equal(A[8:], 0.0)
+
+
+def test_residuals_of_a_bolometer_count_as_they_weigh(scene):
+    found = []
+    for bolometers in (np.zeros(2, np.bool_), np.ones(2, np.bool_)):
+        A, g, energies = np.zeros((10, 10)), np.zeros(10), np.empty((2, N))
+        given = arguments(scene, False, False, bolometers)
+        linearise_frame(scene["T"], scene["light"], *given, A, g, energies)
+        found.append(energies * (8.0 if bolometers[0] else scene["trusts"].sum(axis=1)))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
 def test_a_frame_is_found_from_some_way_off(scene):

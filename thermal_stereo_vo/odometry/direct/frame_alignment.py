@@ -12,6 +12,7 @@ from thermal_stereo_vo.core.kernels import retract, solve_positive
 from thermal_stereo_vo.odometry.direct.photometric import (
     COLUMNS,
     PIXELS,
+    RHO,
     huber_weight,
     linearise_patch,
     patch_energy,
@@ -42,21 +43,24 @@ class Alignment:
 def linearise_frame(  # type: ignore[no-untyped-def]
     T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
     T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-    steps, patches, trusts, huber, gate, free_depth, A, g, energies
+    steps, patches, trusts, bands, bolometers, huber, gate, free_depth, A, g, energies
 ):  # fmt: skip
     """Normal equations of pose and brightness of one frame at one pyramid level.
 
     ``images`` one (H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
-    (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (C, 4, 4) rig from camera;
-    points sorted by host.  With ``free_depth`` inverse depths move too, held by
-    ``rho_information`` (N,), and are eliminated.  A patch with a mean squared residual above
-    ``gate`` squared costs that much and pulls no more.  Writes A, g and ``energies`` (C, N);
-    returns the mean cost of what is seen (infinite where nothing is) and how much that is.
+    (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (slots, C, 4, 4) rig from
+    camera; points sorted by host.  With ``bands`` a point is only looked for with the camera that
+    hosts it; in the images of ``bolometers`` (C,) residuals count as they weigh.  With
+    ``free_depth`` inverse depths move too, held by ``rho_information`` (N,), and are eliminated.  A
+    patch with a mean squared residual above ``gate`` squared costs that much and pulls no more.
+    Writes A, g and ``energies`` (C, N); returns the mean cost of what is seen (infinite where
+    nothing is) and how much that is.
     """
     C = len(use)
     size = POSE + 2 * C
     r, J = np.empty(PIXELS), np.empty((PIXELS, COLUMNS))
     w = np.empty(size)
+    arms = np.zeros((2, 3))  # the scale is not asked for here
     T, T_world_host = np.empty((4, 4)), np.empty((4, 4))
     local = np.empty(8, np.int64)
     for i in range(POSE):
@@ -71,18 +75,18 @@ def linearise_frame(  # type: ignore[no-untyped-def]
         if h != last_host or hc != last_camera:
             last_host, last_camera = h, hc
             invert(T_host_world[h], T_world_host)
-            T[:] = T_rig_world @ T_world_host @ T_rig_host[hc]
+            T[:] = T_rig_world @ T_world_host @ T_rig_host[h, hc]
         h_rho, b_rho = rho_information[n], 0.0
         w[:] = 0.0
         touched = False
         for c in range(C):
             energies[c, n] = np.nan
-            if not use[c]:
+            if not use[c] or (bands and c != hc):
                 continue
             gain = np.exp(brightness[c, 0] - host_brightness[h, hc, 0])
             if not linearise_patch(
-                images[c], cameras[c], scale, T, T_camera_rig[c], bearings[n], rhos[n], steps[hc],
-                patches[n], gain, host_brightness[h, hc, 1], brightness[c, 1], r, J,
+                images[c], cameras[c], scale, T, T_camera_rig[c], arms, bearings[n], rhos[n],
+                steps[hc], patches[n], gain, host_brightness[h, hc, 1], brightness[c, 1], r, J,
             ):  # fmt: skip
                 continue
             trust = 0.0
@@ -90,6 +94,8 @@ def linearise_frame(  # type: ignore[no-untyped-def]
                 trust += trusts[n, k]
             if not trust > 0.0:
                 continue
+            if bolometers[c]:
+                trust = PIXELS
             energy = patch_energy(r, trusts[n], huber)
             energies[c, n] = energy / trust
             seen += 1
@@ -102,7 +108,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
             local[7] = POSE + 2 * c + 1
             for k in range(PIXELS):
                 weight = trusts[n, k] * huber_weight(r[k], huber)
-                j_rho = J[k, 8]
+                j_rho = J[k, RHO]
                 h_rho += weight * j_rho * j_rho
                 b_rho -= weight * j_rho * r[k]
                 for i in range(8):
@@ -141,7 +147,7 @@ def invert(T, out):  # type: ignore[no-untyped-def]
 def align_frame(  # type: ignore[no-untyped-def]
     T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
     T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-    steps, patches, trusts, huber, gate, free_depth, iterations, A, g, energies
+    steps, patches, trusts, bands, bolometers, huber, gate, free_depth, iterations, A, g, energies
 ):  # fmt: skip
     """Levenberg-Marquardt at one level, in place; returns the cost, what was seen, iterations."""
     C = len(use)
@@ -153,7 +159,7 @@ def align_frame(  # type: ignore[no-untyped-def]
     cost, seen = linearise_frame(
         T_rig_world, brightness, images, use, cameras, T_camera_rig, scale, T_host_world,
         host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information, steps,
-        patches, trusts, huber, gate, free_depth, A, g, energies,
+        patches, trusts, bands, bolometers, huber, gate, free_depth, A, g, energies,
     )  # fmt: skip
     done = 0
     for iteration in range(iterations):
@@ -172,7 +178,8 @@ def align_frame(  # type: ignore[no-untyped-def]
         new_cost, new_seen = linearise_frame(
             T_new, brightness_new, images, use, cameras, T_camera_rig, scale, T_host_world,
             host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-            steps, patches, trusts, huber, gate, free_depth, A_new, g_new, energies_new,
+            steps, patches, trusts, bands, bolometers, huber, gate, free_depth, A_new, g_new,
+            energies_new,
         )  # fmt: skip
         # A step that only shows fewer patches is no better.
         if new_cost < cost and 2 * new_seen > seen:

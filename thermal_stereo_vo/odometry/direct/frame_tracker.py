@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermal_stereo_vo.core.config import setting
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
 from thermal_stereo_vo.odometry.direct.frame_alignment import POSE, align_frame
 from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
+from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
+from thermal_stereo_vo.odometry.direct.photometric_config import PhotometricConfig
 from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow, PointSet
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS
 from thermal_stereo_vo.odometry.information import inverse_information
@@ -18,46 +19,10 @@ from thermal_stereo_vo.odometry.information import inverse_information
 Pyramids = tuple[GradientPyramid | None, ...]
 """One per camera in the order of the roles; None for a blind one."""
 
-_ABSENT = np.zeros((1, 1, 3), np.float32)
+ABSENT = np.zeros((1, 1, 3), np.float32)
 _LARGEST_GAIN = 1.5
 """Logarithm: beyond this it is another scene, or none."""
 _TURN_RAD = 0.04
-
-
-@dataclass(frozen=True)
-class PhotometricConfig:
-    """How brightness is compared.  Units: a scene has a standard deviation of 60."""
-
-    smoothing_px: float = setting(
-        0.8, "Sigma of the Gaussian before all else.", unit="px", minimum=0.0, maximum=5.0
-    )
-    huber: float = setting(
-        9.0, "Residuals beyond this weigh less (DSO).", minimum=0.1, maximum=1000.0
-    )
-    gate: float = setting(
-        14.0,
-        "A patch whose residuals are larger than this in root mean square is an outlier.",
-        minimum=0.1,
-        maximum=1000.0,
-    )
-    trust_gradient: float = setting(
-        50.0, "Pixels as steep as this weigh half (DSO).", minimum=1.0, maximum=10000.0
-    )
-    iterations: int = setting(
-        12, "Most iterations of the alignment on each pyramid level.", minimum=1, maximum=100
-    )
-    min_inliers: int = setting(
-        40, "Fewer patches that fit are no measurement.", minimum=10, maximum=1000
-    )
-    min_inlier_share: float = setting(
-        0.4, "Least share of patches in sight that fit.", minimum=0.0, maximum=1.0
-    )
-    min_explained: float = setting(
-        0.5,
-        "A patch fits when this much of its own variance is explained; a flat image explains none.",
-        minimum=0.0,
-        maximum=1.0,
-    )
 
 
 @dataclass(frozen=True)
@@ -96,13 +61,19 @@ class FrameTracker:
         pyramids: Pyramids,
         T_start: NDArray[np.float64],
         brightness: NDArray[np.float64],
+        late: LateCameras | None = None,
+        top: int = LEVELS - 1,
     ) -> Tracked | None:
-        """The pose that makes the patches fit, looked for around ``T_start`` T_rig_world."""
+        """The pose that makes the patches fit, looked for around ``T_start`` T_rig_world.
+
+        ``late`` tells where cameras that were late looked from; ``top`` is the pyramid level to
+        begin with.
+        """
         points = window.points()
         if len(points) < self._config.min_inliers:
             return None
-        attempt = _Attempt(self._config, window, points, pyramids)
-        T, light = attempt.descend(T_start, brightness, LEVELS - 1, 0)
+        attempt = _Attempt(self._config, window, points, pyramids, late)
+        T, light = attempt.descend(T_start, brightness, top, 0)
         return attempt.check(T, light)
 
     def search(
@@ -111,12 +82,13 @@ class FrameTracker:
         pyramids: Pyramids,
         T_starts: list[NDArray[np.float64]],
         brightness: NDArray[np.float64],
+        late: LateCameras | None = None,
     ) -> Tracked | None:
         """As ``track``, from the best of several starts and small turns of each."""
         points = window.points()
         if len(points) < self._config.min_inliers:
             return None
-        attempt = _Attempt(self._config, window, points, pyramids)
+        attempt = _Attempt(self._config, window, points, pyramids, late)
         axes = np.eye(6)[3:] * _TURN_RAD
         turns = np.concatenate([np.zeros((1, 6)), axes, -axes])
         best: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
@@ -141,7 +113,9 @@ class _Attempt:
         window: PhotometricWindow,
         points: PointSet,
         pyramids: Pyramids,
+        late: LateCameras | None,
     ) -> None:
+        self._late = late
         self._config = config
         self._window = window
         self._points = points
@@ -204,17 +178,20 @@ class _Attempt:
 
     def _align(self, T: NDArray[np.float64], light: NDArray[np.float64], level: int) -> None:
         config, window, points = self._config, self._window, self._points
-        images = tuple(_ABSENT if p is None else p[level] for p in self._pyramids)
+        images = tuple(ABSENT if p is None else p[level] for p in self._pyramids)
+        T_camera_rig = window.rig.T_camera_rig
+        if self._late is not None:
+            T_camera_rig = T_camera_rig @ self._late.T_then_now(T)
         use = self._use.copy()
-        if level > 0:  # one eye finds the way, both find the place
+        if level > 0 and not window.rig.bands:  # one eye finds the way, both find the place
             use[1 + int(np.argmax(use)) :] = False
         self.cost, _, iterations = align_frame(
-            T, light, images, use, window.rig.cameras, window.rig.T_camera_rig, 0.5**level,
-            window.poses.T_k_w, window.brightness, window.rig.T_rig_camera, points.hosts,
+            T, light, images, use, window.rig.cameras, T_camera_rig, 0.5**level,
+            window.poses.T_k_w, window.brightness, window.T_rig_host, points.hosts,
             points.host_cameras, points.bearings, points.rhos, points.rho_information,
-            window.rig.steps * 2.0**level, *window.patches(points, level), config.huber,
-            config.gate * (1.0 + level), level == 0, config.iterations,
-            self._A, self._g, self._energies,
+            window.rig.steps * 2.0**level, *window.patches(points, level), window.rig.bands,
+            window.rig.bolometers, config.huber, config.gate * (1.0 + level), level == 0,
+            config.iterations, self._A, self._g, self._energies,
         )  # fmt: skip
         self.iterations += int(iterations)
 
@@ -233,7 +210,9 @@ class _Attempt:
             image = pyramid[level][..., 0]
             at = window.pixels_in(points, camera, T) * 0.5**level
             inside = (at >= 0) & (at < np.array(image.shape[::-1]) - 1)
-            inside_all = np.flatnonzero(inside.all(axis=1))
+            inside_all = np.flatnonzero(
+                inside.all(axis=1) & ((points.host_cameras == camera) | (not window.rig.bands))
+            )
             if len(inside_all) < self._config.min_inliers:
                 continue
             x, y = np.rint(at[inside_all]).astype(int).T

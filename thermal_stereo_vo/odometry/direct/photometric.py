@@ -9,6 +9,11 @@ residuals are
     r = (I_target(q) - b_target) - exp(a_target - a_host) (I_host - b_host),
 
 with the affine brightness pair (a, b) of each image (Dai et al. 2019, eq. 3).
+
+Where the target is a camera of another band, the host's brightness says nothing of it: the patch is
+sampled again, at each iteration, where that other camera saw it at the host's time (eq. 6).  Both
+places depend on the inverse depth, and on the scale s of the map: with lengths of the map in units
+of exp(s) metres the lever arms of the cameras are exp(-s) of their length in metres.
 """
 
 from __future__ import annotations
@@ -21,8 +26,10 @@ PATTERN = np.array(
     [(0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2)], np.float64
 )
 PIXELS = len(PATTERN)
-COLUMNS = 9
-"""Motion of the target rig (rho, phi), a and b of the target, inverse depth."""
+COLUMNS = 11
+"""Motion of the target rig (rho, phi), a and b of the target, logarithm of scale, lag, inverse
+depth."""
+SCALE, LAG, RHO = 8, 9, 10
 
 
 @njit(cache=True, nogil=True)
@@ -48,15 +55,18 @@ def sample(image, u, v, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def linearise_patch(  # type: ignore[no-untyped-def]
-    image, camera, scale, T, T_camera_rig, bearing, rho, step, patch, gain, b_host, b_target, r, J
-):
-    """Residuals ``r`` (8,) and Jacobian ``J`` (8, 9) of a patch; False where it is not seen whole.
+    image, camera, scale, T, T_camera_rig, arms, bearing, rho, step, patch, gain, b_host, b_target,
+    r, J
+):  # fmt: skip
+    """Residuals ``r`` (8,) and Jacobian ``J`` (8, 11) of a patch; False where it is not seen whole.
 
     ``image`` (H, W, 3) of the target at a pyramid level; ``camera`` (4,) fx fy cx cy of level 0 and
     ``scale`` 2^-level; ``T`` (4, 4) target rig from host camera; ``T_camera_rig`` (4, 4) of the
-    target; ``step`` (2,) how far one pixel of the level is in the host's normalised plane;
-    ``patch`` (8,) host brightness.  Columns of J: left perturbation of the target rig (6), a and b
-    of the target, rho.
+    target; ``arms`` (2, 3) what changes with the scale: the lever arm of the host camera in axes of
+    the target's rig, and that of the target camera in its own axes; ``step`` (2,) how far one pixel
+    of the level is in the host's normalised plane; ``patch`` (8,) host brightness.  Columns of J:
+    left perturbation of the target rig (6), a and b of the target, logarithm of scale, lag (left as
+    it is), rho.
     """
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     s = np.empty(3, np.float32)
@@ -89,10 +99,54 @@ def linearise_patch(  # type: ignore[no-untyped-def]
         J[k, 5] = p0 * d1 - p1 * d0
         J[k, 6] = -gain * host
         J[k, 7] = -1.0
-        J[k, 8] = (
+        J[k, SCALE] = -rho * (
+            d0 * arms[0, 0] + d1 * arms[0, 1] + d2 * arms[0, 2]
+            + g0 * arms[1, 0] + g1 * arms[1, 1] + g2 * arms[1, 2]
+        )  # fmt: skip
+        J[k, RHO] = (
             d0 * T[0, 3] + d1 * T[1, 3] + d2 * T[2, 3]
             + g0 * C[0, 3] + g1 * C[1, 3] + g2 * C[2, 3]
         )  # fmt: skip
+    return True
+
+
+@njit(cache=True, nogil=True)
+def resample_patch(  # type: ignore[no-untyped-def]
+    image, camera, T, arm, drift, bearing, rho, step, trust_gradient, patch, trust, slopes
+):
+    """Take a patch from where another camera saw it at the host's time (Dai et al. 2019, eq. 6).
+
+    ``image`` (H, W, 3) and ``camera`` (4,) of that other camera; ``T`` (4, 4) there from the host
+    camera, ``arm`` (3,) the part of its translation that changes with the scale, ``drift`` (6,) its
+    left perturbation by the lag.  Writes ``patch`` and ``trust`` (8,) and ``slopes`` (3, 8), the
+    derivatives of the patch by the logarithm of scale, the lag and rho.  False where it is not
+    seen whole.
+    """
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    c2 = trust_gradient * trust_gradient
+    s = np.empty(3, np.float32)
+    for k in range(PIXELS):
+        x = bearing[0] + PATTERN[k, 0] * step[0]
+        y = bearing[1] + PATTERN[k, 1] * step[1]
+        q0 = T[0, 0] * x + T[0, 1] * y + T[0, 2] + rho * T[0, 3]
+        q1 = T[1, 0] * x + T[1, 1] * y + T[1, 2] + rho * T[1, 3]
+        q2 = T[2, 0] * x + T[2, 1] * y + T[2, 2] + rho * T[2, 3]
+        if q2 < 1e-3:
+            return False
+        iz = 1.0 / q2
+        if not sample(image, fx * q0 * iz + cx, fy * q1 * iz + cy, s):
+            return False
+        patch[k] = s[0]
+        trust[k] = c2 / (c2 + s[1] * s[1] + s[2] * s[2])
+        g0, g1 = s[1] * fx * iz, s[2] * fy * iz
+        g2 = -(g0 * q0 + g1 * q1) * iz
+        slopes[0, k] = -rho * (g0 * arm[0] + g1 * arm[1] + g2 * arm[2])
+        slopes[1, k] = (
+            g0 * (rho * drift[0] + drift[4] * q2 - drift[5] * q1)
+            + g1 * (rho * drift[1] + drift[5] * q0 - drift[3] * q2)
+            + g2 * (rho * drift[2] + drift[3] * q1 - drift[4] * q0)
+        )
+        slopes[2, k] = g0 * T[0, 3] + g1 * T[1, 3] + g2 * T[2, 3]
     return True
 
 

@@ -8,17 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.odometry.direct.depth_filter import filter_depths
 from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS, take_patches
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     PhotometricProblem,
     PhotometricSolution,
+    moved_by,
 )
+from thermal_stereo_vo.odometry.direct.photometric_config import PhotometricConfig
 from thermal_stereo_vo.odometry.direct.rig import Rig
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS
 from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
+_INFORMATION_GAIN = 0.2
 MOST_MISSES = 3
 """A point that should be in sight but does not fit this many times in a row is given up."""
 
@@ -66,6 +70,7 @@ class PhotometricWindow:
         self.poses = KeyframePoses(keyframes)
         self._trust_gradient = trust_gradient
         self.brightness = np.zeros((keyframes, cameras, 2))
+        self.twists = np.zeros((keyframes, 6))
         self.has_image = np.zeros((keyframes, cameras), np.bool_)
         self.stacks = tuple(np.zeros((keyframes, *shape, 3), np.float32) for shape in rig.shapes)
         self._hosts = np.full(capacity, -1, np.int64)
@@ -74,6 +79,8 @@ class PhotometricWindow:
         self._bearings = np.zeros((capacity, 3))
         self._rhos = np.zeros(capacity)
         self._rho_information = np.zeros(capacity)
+        self._rho_priors = np.zeros(capacity)
+        self._prior_information = np.zeros(capacity)
         self._patches = np.zeros((LEVELS, capacity, PIXELS))
         self._trusts = np.zeros((LEVELS, capacity, PIXELS))
         self._misses = np.zeros(capacity, np.int64)
@@ -105,10 +112,19 @@ class PhotometricWindow:
         """Brightness and trusts (N, 8) at a pyramid level."""
         return self._patches[level][points.index], self._trusts[level][points.index]
 
+    @property
+    def T_rig_host(self) -> NDArray[np.float64]:
+        """(slots, C, 4, 4) rig at the stamp of each keyframe from each camera when it looked."""
+        return invert_all(moved_by(self.twists, self.rig.lags_s)) @ self.rig.T_rig_camera
+
+    @property
+    def T_world_host(self) -> NDArray[np.float64]:
+        """(slots, C, 4, 4) world from each camera of each keyframe."""
+        return invert_all(self.poses.T_k_w)[:, None] @ self.T_rig_host
+
     def positions_m(self, points: PointSet) -> NDArray[np.float64]:
         """(N, 3) world coordinates."""
-        T_world_host = np.stack([inverse(T) for T in self.poses.T_k_w])[points.hosts]
-        T = T_world_host @ self.rig.T_rig_camera[points.host_cameras]
+        T = self.T_world_host[points.hosts, points.host_cameras]
         in_host = points.bearings / points.rhos[:, None]
         return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], in_host) + T[:, :3, 3])
 
@@ -120,8 +136,7 @@ class PhotometricWindow:
         self, points: PointSet, camera: int, T_rig_world: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """(N, 2) where points appear in one camera of a rig at ``T_rig_world``; NaN behind it."""
-        T_world_host = np.stack([inverse(T) for T in self.poses.T_k_w])[points.hosts]
-        T_rig_host = T_rig_world @ T_world_host @ self.rig.T_rig_camera[points.host_cameras]
+        T_rig_host = T_rig_world @ self.T_world_host[points.hosts, points.host_cameras]
         return self.rig.pixels_of(camera, T_rig_host, points.bearings, points.rhos)
 
     def flow_px(self, points: PointSet, T_rig_world: NDArray[np.float64]) -> tuple[float, float]:
@@ -133,7 +148,7 @@ class PhotometricWindow:
         # Translations count in the camera that hosts the point; its lever arm is part of both.
         camera = int(points.host_cameras[0])
         mine = points.take(np.flatnonzero(points.host_cameras == camera))
-        T_rig_host = self.rig.T_rig_camera[camera]
+        T_rig_host = self.T_rig_host[newest, camera]
         there = self.rig.pixels_of(camera, T_rig_host, mine.bearings, mine.rhos)
         here = self.rig.pixels_of(camera, T @ T_rig_host, mine.bearings, mine.rhos)
         turned = self.rig.pixels_of(camera, T_turn @ T_rig_host, mine.bearings, mine.rhos)
@@ -161,24 +176,32 @@ class PhotometricWindow:
     ) -> int:
         """Take a frame in, the oldest out where there is no room; returns its slot."""
         if self.poses.is_full:
-            self._drop(np.flatnonzero(self._hosts == self.poses.drop_oldest()))
+            self.drop_keyframe(self.poses.order[0])
         slot = self.poses.append(pose, relative_covariance)
         self.brightness[slot] = brightness
+        self.twists[slot] = 0.0
         for camera, pyramid in enumerate(pyramids):
             self.has_image[slot, camera] = pyramid is not None
             if pyramid is not None:
                 self.stacks[camera][slot] = pyramid[0]
         return slot
 
+    def drop_keyframe(self, slot: int) -> None:
+        """Forget a keyframe and its points."""
+        self._drop(np.flatnonzero(self._hosts == slot))
+        self.poses.drop(slot)
+
     def add_points(
         self,
         slot: int,
         camera: int,
         pyramid: GradientPyramid,
-        pixels: NDArray[np.int64],
+        pixels: NDArray[np.generic],
         rhos: NDArray[np.float64],
         rho_information: NDArray[np.float64],
         intensity: NDArray[np.generic],
+        *,
+        is_prior: bool = False,
     ) -> int:
         """Give a keyframe (N, 2) new points with inverse depths (N,); returns how many it took."""
         free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
@@ -188,6 +211,8 @@ class PhotometricWindow:
         self._bearings[free] = self.rig.bearings(camera, pixels)
         self._rhos[free] = rhos[:count]
         self._rho_information[free] = rho_information[:count]
+        self._rho_priors[free] = rhos[:count]
+        self._prior_information[free] = rho_information[:count] if is_prior else 0.0
         self._misses[free] = 0
         self._intensity[free] = intensity[:count]
         self._host_cameras[free] = camera
@@ -204,8 +229,13 @@ class PhotometricWindow:
         self._hosts[free[usable]] = slot
         return int(usable.sum())
 
-    def problem(self) -> tuple[PhotometricProblem, PointSet]:
-        """A copy of everything the adjustment needs (images aside), and its points."""
+    def problem(self, *, across: bool = True) -> tuple[PhotometricProblem, PointSet]:
+        """A copy of everything the adjustment needs (images aside), and its points.
+
+        Each keyframe looks for the points of the others with the camera that hosts them.  The other
+        camera, where it counts (``across``), sees them in their own keyframe (static stereo), or
+        in all others when it is of another band.
+        """
         points = self.points()
         slots = np.array(self.poses.order)
         rank = np.zeros(len(self.has_image), np.int64)
@@ -213,14 +243,15 @@ class PhotometricWindow:
         ordered = np.lexsort((points.host_cameras, rank[points.hosts]))
         points = points.take(ordered)
         hosts = rank[points.hosts]
-        seen = np.zeros((len(points), len(slots), len(self.rig.cameras)), np.bool_)
-        seen[:] = self.has_image[slots]
-        seen[np.arange(len(points)), hosts, points.host_cameras] = False
+        at_home = (hosts[:, None] == np.arange(len(slots)))[:, :, None]
+        own = (points.host_cameras[:, None] == np.arange(len(self.rig.cameras)))[:, None, :]
+        seen = own & ~at_home
+        if across and self.rig.bands:
+            seen = seen | (~own & ~at_home & self.has_image[points.hosts][:, None, :])
+        elif across:
+            seen = seen | (~own & at_home)
+        seen &= self.has_image[slots]
         patches, trusts = self.patches(points, 0)
-        # Static stereo only (Stereo DSO): in other keyframes the other eye adds next to nothing.
-        elsewhere = hosts[:, None] != np.arange(len(slots))
-        other = points.host_cameras[:, None] != np.arange(len(self.rig.cameras))
-        seen[elsewhere[:, :, None] & other[:, None, :]] = False
         for t, slot in enumerate(slots):
             for camera, (height, width) in enumerate(self.rig.shapes):
                 x, y = self.pixels_in(points, camera, self.poses.T_k_w[slot]).T
@@ -230,6 +261,8 @@ class PhotometricWindow:
                 self.stacks,
                 slots,
                 self.poses.T_k_w[slots].copy(),
+                self.twists[slots].copy(),
+                self.rig.lags_s,
                 self.brightness[slots].copy(),
                 self.rig.cameras,
                 self.rig.T_rig_camera,
@@ -237,12 +270,53 @@ class PhotometricWindow:
                 points.host_cameras,
                 points.bearings,
                 points.rhos,
+                self._rho_priors[points.index],
+                self._prior_information[points.index],
                 patches,
                 trusts,
                 seen,
+                self.rig.bands,
+                self.rig.bolometers,
+                self._trust_gradient,
             ),
             points,
         )
+
+    def filter_depths(
+        self,
+        points: PointSet,
+        T_rig_world: NDArray[np.float64],
+        brightness: NDArray[np.float64],
+        images: tuple[NDArray[np.float32], ...],
+        use: NDArray[np.bool_],
+        config: PhotometricConfig,
+        T_camera_rig: NDArray[np.float64],
+    ) -> int:
+        """Refine the inverse depths of ``points`` by an aligned frame; returns how many.
+
+        ``images`` one (H, W, 3) per camera, ``use`` (C,) which of them count; ``T_camera_rig``
+        (C, 4, 4) of that frame.
+        """
+        rhos, information = points.rhos.copy(), points.rho_information.copy()
+        refined = filter_depths(
+            T_rig_world, brightness, images, use, self.rig.cameras, T_camera_rig,
+            self.poses.T_k_w, self.brightness, self.T_rig_host, points.hosts,
+            points.host_cameras, points.bearings, self.rig.steps, *self.patches(points, 0),
+            self.rig.bolometers, config.huber, config.gate, self.sigma, _INFORMATION_GAIN,
+            rhos, information,
+        )  # fmt: skip
+        self._rhos[points.index] = rhos
+        self._rho_information[points.index] = information
+        return int(refined)
+
+    def rescale(self, factor: float, about_m: NDArray[np.float64]) -> None:
+        """Multiply all lengths but the lever arms of the rig; ``about_m`` (3,) stays in place."""
+        self.poses.rescale(factor, about_m)
+        self.twists[:, :3] *= factor
+        self._rhos /= factor
+        self._rho_information *= factor**2
+        self._rho_priors /= factor
+        self._prior_information *= factor**2
 
     def apply(
         self,
@@ -250,17 +324,37 @@ class PhotometricWindow:
         points: PointSet,
         gate: float,
         covariance_scale: float,
+        spare: tuple[int, ...] = (),
     ) -> None:
-        """Take refined poses, brightness and depths over; give up points that fit nowhere."""
+        """Take refined poses, brightness and depths over; give up points that fit nowhere.
+
+        Points of cameras in ``spare``, which had no part, stay as they are.
+        """
         slots = np.array(self.poses.order)
         self.poses.refine(solution.T_k_w, covariance_scale * solution.covariance)
         self.brightness[slots] = solution.brightness
-        self._rhos[points.index] = solution.rhos
-        self._rho_information[points.index] = solution.rho_information
+        part = ~np.isin(points.host_cameras, spare)
+        self._rhos[points.index[part]] = solution.rhos[part]
+        self._rho_information[points.index[part]] = solution.rho_information[part]
         self.sigma = solution.sigma
         fits = np.sum(solution.energies < gate * gate, axis=(1, 2))
         fails = np.sum(solution.energies >= gate * gate, axis=(1, 2))
-        self._drop(points.index[(fits == 0) | (fails > 2 * fits)])
+        self._drop(points.index[part & ((fits == 0) | (fails > 2 * fits))])
+
+    def take_camera(self, solution: PhotometricSolution, points: PointSet, camera: int) -> None:
+        """Take over only the brightness and the depths of one camera."""
+        self.brightness[self.poses.order, camera] = solution.brightness[:, camera]
+        mine = points.host_cameras == camera
+        self._rhos[points.index[mine]] = solution.rhos[mine]
 
     def _drop(self, index: NDArray[np.int64]) -> None:
         self._hosts[index] = -1
+
+
+def invert_all(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses of rigid motions (..., 4, 4)."""
+    out = np.zeros_like(T)
+    out[..., :3, :3] = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", out[..., :3, :3], T[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out

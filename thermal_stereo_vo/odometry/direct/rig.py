@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,18 @@ class Rig:
     """C cameras without distortion.
 
     ``cameras`` (C, 4) fx fy cx cy in px; ``T_rig_camera`` and ``T_camera_rig`` (C, 4, 4);
-    ``shapes`` (height, width) of each image.
+    ``shapes`` (height, width) of each image.  With ``bands`` they see different bands, so that only
+    images of one and the same camera look alike.  ``bolometers`` (C,) bool which of them have an
+    unbounded range of brightness and are ``lags_s`` (C,) late.
     """
 
     cameras: NDArray[np.float64]
     T_rig_camera: NDArray[np.float64]
     T_camera_rig: NDArray[np.float64]
     shapes: tuple[tuple[int, int], ...]
+    bands: bool
+    bolometers: NDArray[np.bool_]
+    lags_s: NDArray[np.float64]
 
     @classmethod
     def of(cls, views: Sequence[CameraView]) -> Rig:
@@ -41,7 +46,20 @@ class Rig:
             T_rig_camera,
             np.stack([inverse(T) for T in T_rig_camera]),
             tuple(v.image.shape for v in views),
+            False,
+            np.zeros(len(views), np.bool_),
+            np.zeros(len(views)),
         )
+
+    def of_bands(self, bolometers: Sequence[bool]) -> Rig:
+        """The same cameras, of different bands."""
+        return replace(self, bands=True, bolometers=np.array(bolometers))
+
+    def with_arms(self, factor: float) -> Rig:
+        """The same cameras, lever arms ``factor`` times as long."""
+        T_rig_camera = with_arms(self.T_rig_camera, factor)
+        T_camera_rig = np.stack([inverse(T) for T in T_rig_camera])
+        return replace(self, T_rig_camera=T_rig_camera, T_camera_rig=T_camera_rig)
 
     @property
     def steps(self) -> NDArray[np.float64]:
@@ -71,3 +89,10 @@ class Rig:
         q = turned + rhos[:, None] * T[..., :3, 3]
         z = np.where(q[:, 2] > 1e-3, q[:, 2], np.nan)
         return np.stack([fx * q[:, 0] / z + cx, fy * q[:, 1] / z + cy], axis=1)
+
+
+def with_arms(T_rig_camera: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+    """(C, 4, 4) the same cameras, lever arms ``factor`` times as long."""
+    out = T_rig_camera.copy()
+    out[:, :3, 3] *= factor
+    return out

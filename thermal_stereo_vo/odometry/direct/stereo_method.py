@@ -22,7 +22,6 @@ from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.observers import StageTimer
 from thermal_stereo_vo.odometry.direct.frame_tracker import (
     FrameTracker,
-    PhotometricConfig,
     Pyramids,
     Tracked,
     starts_around,
@@ -36,6 +35,7 @@ from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     PhotometricSolution,
     adjust_photometrically,
 )
+from thermal_stereo_vo.odometry.direct.photometric_config import PhotometricConfig
 from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow, PointSet
 from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig, select_points
 from thermal_stereo_vo.odometry.direct.rig import Rig

@@ -1,0 +1,185 @@
+"""What a method of two bands that never compares one with the other must be asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE
+from thermal_stereo_vo.core.config import with_overrides
+from thermal_stereo_vo.core.frames import GapReason
+from thermal_stereo_vo.core.results import TrackingStatus
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.evaluation.alignment import umeyama
+from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
+
+from .two_band_room import Room, sliding, swaying
+
+FRAMES = 100
+SETTINGS = (
+    "method=multispectral",
+    "status.bolometer_lag_ms=0",
+    "multispectral.selection.points=250",
+    "multispectral.keyframes.flow_px=25",
+    "threads=1",
+)
+
+
+def odometry(*settings):
+    return create_odometry(with_overrides(OdometryConfig(), [*SETTINGS, *settings]))
+
+
+def fly(method, frames):
+    return [method.process(frame) for frame in frames]
+
+
+def without(frame, role):
+    views = {name: view for name, view in frame.views.items() if name != role}
+    return replace(frame, views=views, blind={role: GapReason.FFC})
+
+
+@pytest.fixture(scope="module")
+def flight():
+    poses, room, rng = swaying(FRAMES), Room(3), np.random.default_rng(5)
+    return [room.frame(i, T, rng) for i, T in enumerate(poses)], poses
+
+
+@pytest.fixture(scope="module")
+def results(flight):
+    return fly(odometry(), flight[0])
+
+
+def metric(results, poses):
+    """Positions found and true, in metres, while the scale is known."""
+    known = [i for i, result in enumerate(results) if result.scale_converged]
+    return (
+        np.array([results[i].T_world_rig[:3, 3] for i in known]),
+        np.array([poses[i][:3, 3] for i in known]),
+    )
+
+
+def scale_and_error(found, true):
+    """Lengths found by true ones, and the error that is left with those lengths as they are."""
+    scale = umeyama(found, true, with_scale=True).scale
+    return 1.0 / scale, rms_m(umeyama(found, true), found, true)
+
+
+def rms_m(similarity, found, true):
+    T = similarity.T_true_est
+    left = true - similarity.scale * found @ T[:3, :3].T - T[:3, 3]
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+
+def test_metres_are_found_by_turning(flight, results):
+    found, true = metric(results, flight[1])
+    assert 30 < len(found) < FRAMES - 10
+    scale, error_m = scale_and_error(found, true)
+    assert 0.97 < scale < 1.03
+    assert error_m < 0.01
+    assert all(result.status is TrackingStatus.TRACKING for result in results[1:])
+
+
+def test_until_then_it_says_that_lengths_are_in_no_unit(results):
+    first = next(i for i, result in enumerate(results) if result.scale_converged)
+    assert first > 10
+    for result in results[1:first]:
+        assert result.scale_converged is False
+        assert np.diag(result.covariance)[:3].min() > 1e5
+        assert np.diag(result.twist_covariance)[:3].min() > 1e5
+        assert np.diag(result.covariance)[3:].max() < 0.1
+    for result in results[first + 1 :]:
+        assert result.scale_converged is True
+        assert np.diag(result.covariance)[:3].max() < 0.1
+
+
+def test_the_unit_is_that_of_the_lever_arm(flight, results):
+    """A calibration whose arm is 30 % too long makes everything 30 % too long."""
+    frames, poses = flight
+    wrong = []
+    for frame in frames:
+        T = frame.views[THERMAL].T_rig_camera.copy()
+        T[:3, 3] *= 1.3
+        views = {**frame.views, THERMAL: replace(frame.views[THERMAL], T_rig_camera=T)}
+        wrong.append(replace(frame, views=views))
+    scale, _ = scale_and_error(*metric(fly(odometry(), wrong), poses))
+    assert 1.25 < scale < 1.36
+
+
+@pytest.mark.parametrize(("away", "count"), [(THERMAL, 8), (VISIBLE, 20)])
+def test_either_camera_carries_on_alone(flight, away, count):
+    """Measured in metres and without a jump, while the other one is away and when it is back."""
+    frames, poses = flight
+    start = 75
+    parted = [
+        without(frame, away) if start <= i < start + count else frame
+        for i, frame in enumerate(frames)
+    ]
+    results = fly(odometry(), parted)
+    assert all(result.scale_converged for result in results[start:])
+    assert all(result.status is TrackingStatus.TRACKING for result in results[start:])
+    found = np.array([result.T_world_rig for result in results[start - 1 :]])
+    true = poses[start - 1 :]
+    steps = [
+        np.linalg.norm((inverse(a) @ b)[:3, 3] - (inverse(c) @ d)[:3, 3])
+        for a, b, c, d in zip(found, found[1:], true, true[1:], strict=False)
+    ]
+    assert max(steps) < 0.015
+    _, error_m = scale_and_error(found[:, :3, 3], true[:, :3, 3])
+    assert error_m < 0.02
+
+
+@pytest.mark.parametrize("path", [sliding, lambda count: np.tile(np.eye(4), (count, 1, 1))])
+def test_motion_that_tells_no_scale_is_said_to_tell_none(path):
+    """Straight ahead, and at rest: it goes on in its own unit and diverges nowhere."""
+    poses, room, rng = path(45), Room(4), np.random.default_rng(6)
+    results = fly(odometry(), [room.frame(i, T, rng) for i, T in enumerate(poses)])
+    assert not any(result.scale_converged for result in results)
+    assert all(result.status is TrackingStatus.TRACKING for result in results[1:])
+    found = np.array([result.T_world_rig[:3, 3] for result in results])
+    turned = [np.trace(result.T_world_rig[:3, :3]) for result in results]
+    assert min(turned) > 1.0 + 2.0 * np.cos(0.03)
+    if np.ptp(poses[:, :3, 3]) > 0.0:
+        aligned = umeyama(found, poses[:, :3, 3], with_scale=True)
+        assert rms_m(aligned, found, poses[:, :3, 3]) < 0.03
+    else:
+        assert np.linalg.norm(found, axis=1).max() < 0.01
+
+
+@pytest.mark.parametrize("role", [VISIBLE, THERMAL])
+def test_one_camera_alone_makes_a_map_without_unit(flight, role):
+    frames, poses = flight
+    alone = [without(frame, THERMAL if role == VISIBLE else VISIBLE) for frame in frames[:60]]
+    results = fly(odometry(), alone)
+    assert not any(result.scale_converged for result in results)
+    T_rig_camera = frames[0].views[role].T_rig_camera
+    found = np.array([result.T_world_rig[:3, 3] for result in results])
+    true = (poses[:60] @ T_rig_camera)[:, :3, 3]
+    aligned = umeyama(found, true, with_scale=True)
+    assert rms_m(aligned, found, true) < 0.02
+    # In a unit of about the distance of what it looks at.
+    assert 1.5 < aligned.scale < 8.0
+
+
+def test_points_bear_what_both_cameras_show(flight):
+    frames, _ = flight
+    method = odometry()
+    fly(method, frames[:70])
+    cloud = method.local_map()
+    assert len(cloud.xyz) > 150
+    both = np.isfinite(cloud.intensity) & np.isfinite(cloud.thermal_counts)
+    assert both.mean() > 0.5
+    assert 50.0 < np.nanmedian(cloud.intensity) < 200.0
+    assert 6000.0 < np.nanmedian(cloud.thermal_counts) < 8000.0
+    # On the walls of the room, as the rig was when it began.
+    inside = np.abs(cloud.xyz) / np.array([2.5, 1.8, 3.0])
+    assert np.median(np.abs(inside.max(axis=1) - 1.0)) < 0.06
+
+
+def test_threads_change_nothing(flight):
+    frames, _ = flight
+    one, two = (fly(odometry(f"threads={n}"), frames[:30]) for n in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.T_world_rig, b.T_world_rig)
+        assert a.stats == b.stats

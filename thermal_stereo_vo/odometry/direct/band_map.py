@@ -1,0 +1,338 @@
+"""The keyframes and points of a rig of two bands, and the size of the map that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.frames import RigFrame
+from thermal_stereo_vo.core.results import PointCloud
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.odometry.direct.band_cloud import cloud_of
+from thermal_stereo_vo.odometry.direct.band_images import BandImages
+from thermal_stereo_vo.odometry.direct.depth_guess import depths_around, random_depths
+from thermal_stereo_vo.odometry.direct.frame_tracker import ABSENT, Pyramids, Tracked
+from thermal_stereo_vo.odometry.direct.keyframe_choice import most_dispensable
+from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
+from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
+from thermal_stereo_vo.odometry.direct.photometric_bundle import (
+    HOLD,
+    PhotometricProblem,
+    PhotometricSolution,
+    adjust_photometrically,
+)
+from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow, PointSet
+from thermal_stereo_vo.odometry.direct.point_selection import select_points
+from thermal_stereo_vo.odometry.direct.rig import Rig
+from thermal_stereo_vo.odometry.direct.scale_search import (
+    LEAST_KEYFRAMES,
+    ScaleSearch,
+    WindowScale,
+)
+from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
+
+_ROOM_FACTOR = 8
+_FIRST_KEYFRAMES = 8
+_GUESS_SIGMA = 0.5
+_LEAST_OF_NEWEST = 20
+_START_DISTANCE_M = 4.0
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What an adjustment found, and what it says of the size where that is not known yet."""
+
+    solution: PhotometricSolution
+    points: PointSet
+    scale: WindowScale | None
+
+
+class BandMap:
+    """A window of keyframes whose points are followed each by the camera that hosts them.
+
+    Until ``is_metric`` the map stands on the first camera alone, in a unit of about the mean
+    distance of the scene, and the second one only tells how large that unit is.
+    """
+
+    def __init__(
+        self,
+        config: MultispectralConfig,
+        images: BandImages,
+        room: int,
+        start: PoseEstimate,
+        rng: np.random.Generator,
+    ) -> None:
+        self._config = config
+        self._images = images
+        self._start = start
+        self._rng = rng
+        cameras = len(images.roles)
+        self.window = PhotometricWindow(
+            room,
+            _ROOM_FACTOR * config.selection.points,
+            images.rig,
+            config.photometric.trust_gradient,
+        )
+        self.is_metric = False
+        self.scale_sigma: float | None = None
+        self.rho = 1.0
+        """Median inverse depth, for what needs no better."""
+        self._search = ScaleSearch(config.scale)
+        self._wanted = np.zeros(cameras, np.int64)
+        self._keyframes = 0
+        self._set_unit(np.log(_START_DISTANCE_M))
+
+    @property
+    def rig(self) -> Rig:
+        """The rig with its lever arms in the unit of the map."""
+        return self.window.rig
+
+    def count(self, camera: int) -> int:
+        """Number of points of a camera."""
+        return int(np.count_nonzero(self.window.points().host_cameras == camera))
+
+    def shows(self, camera: int) -> bool:
+        """Whether a camera has points enough to be followed."""
+        return self.count(camera) >= self._config.photometric.min_inliers
+
+    def pose_of(self, tracked: Tracked) -> PoseEstimate:
+        """World pose of a frame by the newest keyframe."""
+        newest = self.window.poses.newest_pose()
+        covariance = self._config.covariance_scale * tracked.covariance
+        return newest.moved(tracked.T_rig_world @ newest.T_world_rig, covariance)
+
+    def cloud(
+        self, points: PointSet, frame: RigFrame, T_rig_world: NDArray[np.float64]
+    ) -> PointCloud:
+        """World coordinates of points, with what each camera shows of them in a frame."""
+        return cloud_of(self.window, points, frame, self._images.roles, T_rig_world)
+
+    # --- frames -----------------------------------------------------------------------------------
+
+    def note(self, tracked: Tracked, pyramids: Pyramids, late: LateCameras) -> None:
+        """Learn from a frame that was found: which points are there, and how far."""
+        self.window.note_tracking(tracked.points, tracked.seen, tracked.fits)
+        if self._keyframes < 2:
+            return
+        use = np.array([pyramid is not None for pyramid in pyramids])
+        use[1:] &= self.is_metric
+        self.window.filter_depths(
+            tracked.points.take(np.flatnonzero(tracked.seen)),
+            tracked.T_rig_world,
+            tracked.brightness,
+            tuple(ABSENT if pyramid is None else pyramid[0] for pyramid in pyramids),
+            use,
+            self._config.photometric,
+            self.rig.T_camera_rig @ late.T_then_now(tracked.T_rig_world),
+        )
+
+    def keyframe_is_due(self, tracked: Tracked, pyramids: Pyramids) -> bool:
+        """Whether the first camera that sees has too few points, or some have moved far."""
+        config = self._config.keyframes
+        leads = True
+        for camera, pyramid in enumerate(pyramids):
+            if pyramid is None or (camera > 0 and not self.is_metric):
+                continue
+            fits = tracked.fits & (tracked.points.host_cameras == camera)
+            mine = np.flatnonzero(fits & (tracked.points.hosts == self.window.poses.newest))
+            wanted = config.inlier_share * self._wanted[camera] if leads else 0.0
+            least = _LEAST_OF_NEWEST if leads else 0
+            if int(fits.sum()) < max(wanted, _LEAST_OF_NEWEST) or len(mine) < least:
+                return True
+            leads = False
+            if len(mine) < _LEAST_OF_NEWEST:
+                continue
+            flow_px, parallax_px = self.window.flow_px(
+                tracked.points.take(mine), tracked.T_rig_world
+            )
+            if parallax_px > config.parallax_px or flow_px > config.flow_px:
+                return True
+        return False
+
+    def add_keyframe(
+        self,
+        frame: RigFrame,
+        pyramids: Pyramids,
+        tracked: Tracked | None,
+        late: LateCameras | None,
+        brightness: NDArray[np.float64],
+    ) -> None:
+        """Take a frame into the window, at the start of the map if nothing was tracked."""
+        window = self.window
+        pose, covariance = self._start, np.zeros((6, 6))
+        if tracked is not None:
+            pose = self.pose_of(tracked)
+            covariance = self._config.covariance_scale * tracked.covariance
+        T = inverse(pose.T_world_rig)
+        new = [
+            (camera, *self._new_points(frame, camera, pyramids, tracked, T))
+            for camera in range(len(pyramids))
+            if pyramids[camera] is not None
+        ]
+        if window.poses.is_full:
+            window.drop_keyframe(self._dispensable(T))
+        slot = window.add_keyframe(pose, covariance, pyramids, brightness)
+        if late is not None:
+            window.twists[slot] = late.lately(T)
+        for camera, pixels, rhos in new:
+            pyramid = pyramids[camera]
+            assert pyramid is not None
+            counts = frame.views[self._images.roles[camera]].image[pixels[:, 1], pixels[:, 0]]
+            information = (window.sigma / (_GUESS_SIGMA * rhos)) ** 2
+            window.add_points(
+                slot, camera, pyramid, pixels, rhos, information, counts, is_prior=True
+            )
+        self._keyframes += 1
+        points = window.points()
+        self.rho = float(np.median(points.rhos)) if len(points) > 0 else 1.0
+
+    def _new_points(
+        self,
+        frame: RigFrame,
+        camera: int,
+        pyramids: Pyramids,
+        tracked: Tracked | None,
+        T: NDArray[np.float64],
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """(N, 2) pixels and (N,) inverse depths where a camera has no points yet."""
+        window, pyramid = self.window, pyramids[camera]
+        assert pyramid is not None
+        occupied_px = np.zeros((0, 2))
+        if tracked is not None:
+            # Before the scale is known nobody looks whether points of the second camera fit.
+            there = tracked.points.host_cameras == camera
+            if camera == 0 or self.is_metric:
+                there &= tracked.fits
+            occupied_px = window.pixels_in(tracked.points.take(np.flatnonzero(there)), camera, T)
+            size = np.array(window.rig.shapes[camera][::-1])
+            occupied_px = occupied_px[np.all((occupied_px >= 0) & (occupied_px < size), axis=1)]
+        selection = self._config.selection
+        if camera > 0:
+            selection = replace(
+                selection, points=max(100, int(self._config.second_share * selection.points))
+            )
+        view = frame.views[self._images.roles[camera]]
+        pixels = select_points(pyramid[0], occupied_px, view.mask, selection)
+        self._wanted[camera] = len(pixels) + len(occupied_px)
+        known = window.points()
+        if not self.is_metric:
+            known = known.take(np.flatnonzero(known.host_cameras == 0))
+        rhos = None
+        if len(known) > 0:
+            T_rig_host = T @ window.T_world_host[known.hosts, known.host_cameras]
+            rhos = depths_around(window.rig, camera, T_rig_host, known.bearings, known.rhos, pixels)
+        if rhos is None and self._keyframes > 0:
+            rhos = np.full(len(pixels), self.rho)
+        return pixels, random_depths(len(pixels), self._rng) if rhos is None else rhos
+
+    def _dispensable(self, T_new: NDArray[np.float64]) -> int:
+        window, order = self.window, self.window.poses.order
+        points = window.points()
+        inside = np.zeros(len(points), np.bool_)
+        for camera, (height, width) in enumerate(window.rig.shapes):
+            at = window.pixels_in(points, camera, T_new)
+            here = np.all((at > 0) & (at < np.array([width, height])), axis=1)
+            inside |= here & (points.host_cameras == camera)
+        counts = np.array([np.count_nonzero(points.hosts == slot) for slot in order])
+        shown = np.array([np.count_nonzero(inside & (points.hosts == slot)) for slot in order])
+        chosen = most_dispensable(
+            window.poses.T_k_w[order], T_new, self.rho, counts, shown / np.maximum(counts, 1)
+        )
+        return order[chosen]
+
+    # --- adjustment -------------------------------------------------------------------------------
+
+    def adjustment(self) -> Callable[[], MapUpdate | None]:
+        """The work that the newest keyframe makes, on a copy: for another thread."""
+        problem, points = self.window.problem(across=self.is_metric)
+        first = self._keyframes <= _FIRST_KEYFRAMES
+        return lambda: self._adjust(problem, points, first)
+
+    def _adjust(
+        self, problem: PhotometricProblem, points: PointSet, first: bool
+    ) -> MapUpdate | None:
+        config = self._config
+        photometric, keyframes = config.photometric, config.keyframes
+        if len(problem.slots) < 2:
+            return None
+        alone = problem
+        hold = (self.window.sigma / config.scale.hold) ** 2
+        if not self.is_metric:
+            seen = problem.seen.copy()
+            seen[problem.host_cameras > 0] = False
+            alone = replace(problem, seen=seen)
+            hold = HOLD
+        solution = adjust_photometrically(
+            alone,
+            huber=photometric.huber,
+            gate=photometric.gate,
+            iterations=keyframes.first_iterations if first else keyframes.bundle_iterations,
+            free_lag=self.is_metric,
+            hold=hold,
+        )
+        if solution is None:
+            return None
+        scale = None
+        two = len(self._images.roles) == 2
+        if two and not self.is_metric and len(problem.slots) >= LEAST_KEYFRAMES:
+            scale = self._search.look(problem, solution, self._log_unit, photometric)
+        return MapUpdate(solution, points, scale)
+
+    def take(self, update: MapUpdate) -> float | None:
+        """Take an adjustment over; the factor of all lengths when they become metres."""
+        config, window = self._config, self.window
+        spare = () if self.is_metric else tuple(range(1, len(self._images.roles)))
+        window.apply(
+            update.solution,
+            update.points,
+            config.photometric.gate,
+            config.covariance_scale,
+            spare,
+        )
+        if self.is_metric:
+            self._shift_lag(update.solution.lag_s)
+            self._watch(update.solution)
+            return None
+        if update.scale is None:
+            return None
+        self._search.add(update.scale)
+        estimate = self._search.estimate()
+        if estimate is not None:
+            self.scale_sigma = max(estimate.spread, estimate.sigma)
+        if estimate is None or not self._search.is_known(estimate):
+            return None
+        window.take_camera(update.scale.joint, update.points, 1)
+        self._shift_lag(update.scale.joint.lag_s)
+        factor = float(np.exp(estimate.log_scale))
+        window.rescale(factor, self._start.T_world_rig[:3, 3])
+        self.rho /= factor
+        self.is_metric = True
+        self._search = ScaleSearch(config.scale)
+        self._set_unit(0.0)
+        return factor
+
+    def _watch(self, solution: PhotometricSolution) -> None:
+        """Admit that the size is wrong where many windows say so."""
+        self._search.note(solution.log_scale, solution.log_scale_sigma)
+        estimate = self._search.estimate()
+        if estimate is None:
+            return
+        self.scale_sigma = max(estimate.spread, self._config.scale.hold)
+        if self._search.contradicts(estimate):
+            self.is_metric = False
+            self._search = ScaleSearch(self._config.scale)
+
+    def _set_unit(self, log_unit: float) -> None:
+        """Let the lever arms be as long as if a unit of the map were exp(``log_unit``) metres."""
+        self._log_unit = log_unit
+        rig = self._images.rig.with_arms(np.exp(-log_unit))
+        if len(self._images.roles) == 1:
+            rig = self._images.rig.with_arms(0.0)
+        self.window.rig = replace(rig, lags_s=self.window.rig.lags_s)
+
+    def _shift_lag(self, lag_s: float) -> None:
+        rig = self.rig
+        self.window.rig = replace(rig, lags_s=rig.lags_s + lag_s * rig.bolometers)

@@ -1,0 +1,110 @@
+"""Settings of the direct visible + thermal method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thermal_stereo_vo.core.config import group, setting
+from thermal_stereo_vo.odometry.direct.photometric_config import PhotometricConfig
+from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig
+
+
+@dataclass(frozen=True)
+class BandKeyframeConfig:
+    """When a frame becomes a keyframe, and how keyframes are adjusted."""
+
+    inlier_share: float = setting(
+        0.7,
+        "A keyframe is due when fewer of the wanted points still fit.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    parallax_px: float = setting(
+        6.0,
+        "A keyframe is due when points have moved this far by translation.",
+        unit="px",
+        minimum=1.0,
+        maximum=500.0,
+    )
+    flow_px: float = setting(
+        60.0,
+        "A keyframe is due when points have moved this far in all.",
+        unit="px",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    bundle_iterations: int = setting(
+        6, "Most iterations of a photometric adjustment (DSO).", minimum=1, maximum=100
+    )
+    first_iterations: int = setting(
+        20,
+        "Most iterations while the first keyframes find their depths.",
+        minimum=1,
+        maximum=200,
+    )
+
+
+@dataclass(frozen=True)
+class ScaleConfig:
+    """When the size of the map is known."""
+
+    smallest_m: float = setting(
+        0.25, "Least mean distance of the scene at the start.", unit="m", minimum=0.01, maximum=10.0
+    )
+    largest_m: float = setting(
+        60.0,
+        "Largest mean distance of the scene at the start.",
+        unit="m",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    windows: int = setting(
+        6, "Adjustments that must agree before the scale is believed.", minimum=3, maximum=50
+    )
+    spread: float = setting(
+        0.025,
+        "Largest relative standard error of their median, as they scatter.",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    sigma: float = setting(
+        0.05,
+        "Largest relative standard deviation by one window, as its residuals say.",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    hold: float = setting(
+        0.002,
+        "Relative change of the size that one adjustment may make once it is known (1 sigma): more "
+        "follows drift faster, less averages over more windows.",
+        minimum=1e-5,
+        maximum=0.5,
+    )
+    reopen: float = setting(
+        0.2,
+        "Relative error of the size, agreed by as many windows, that makes it unknown again.",
+        minimum=0.02,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class MultispectralConfig:
+    """Direct visible + thermal odometry."""
+
+    photometric: PhotometricConfig = group(PhotometricConfig, "How brightness is compared.")
+    selection: SelectionConfig = group(SelectionConfig, "Which pixels become points.")
+    keyframes: BandKeyframeConfig = group(BandKeyframeConfig, "When a frame is kept.")
+    scale: ScaleConfig = group(ScaleConfig, "When the size of the map is known.")
+    second_share: float = setting(
+        0.6,
+        "Points in the second camera for one in the first.",
+        minimum=0.1,
+        maximum=1.0,
+    )
+    covariance_scale: float = setting(
+        8.0,
+        "Factor on covariances for what the residuals do not show.",
+        minimum=0.01,
+        maximum=1000.0,
+    )

@@ -1,0 +1,308 @@
+"""Direct odometry with a visible and a thermal camera, without matching one against the other.
+
+After Dai et al. (2019): each camera follows points in its own images.  The first one alone makes a
+map of unknown size; how the second one moves on its lever arm tells the size.  From then on both
+take part alike, and either can go on alone while the other is blind.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE
+from thermal_stereo_vo.core.frames import RigFrame
+from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus, TrackStats
+from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.observers import StageTimer
+from thermal_stereo_vo.odometry.direct.band_images import BandImages, usable_roles
+from thermal_stereo_vo.odometry.direct.band_map import BandMap, MapUpdate
+from thermal_stereo_vo.odometry.direct.frame_tracker import (
+    FrameTracker,
+    Pyramids,
+    Tracked,
+    starts_around,
+)
+from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
+from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
+from thermal_stereo_vo.odometry.feature_based.frame_to_frame import blindness
+from thermal_stereo_vo.odometry.gyro import GyroIntegrator
+from thermal_stereo_vo.odometry.interface import Requirements
+from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
+from thermal_stereo_vo.odometry.status_machine import StatusConfig
+from thermal_stereo_vo.odometry.workers import make_worker
+
+_ROLES = (VISIBLE, THERMAL)
+_TOP, _SECOND_TOP = 3, 1
+_UNKNOWN = 1e6
+"""Variance (square of any unit) of lengths whose unit is unknown."""
+
+
+class MultispectralOdometry:
+    """Photometric tracking in two bands with photometric bundle adjustment.
+
+    With one camera alone, or before the scale is known, lengths are in a unit of about the mean
+    distance of the scene at the start; poses are then those of the first camera that is there, in
+    axes of the rig.
+    """
+
+    requirements = Requirements(roles=_ROLES, rectified_pair=False, display=False)
+
+    def __init__(
+        self,
+        config: MultispectralConfig,
+        status: StatusConfig,
+        keyframes: int,
+        threads: int = 2,
+        gyro: GyroIntegrator | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._settings = (config, status, keyframes, threads)
+        self._config = config
+        self._room = keyframes
+        self._seed = seed
+        self._lag_s = 1e-3 * status.bolometer_lag_ms
+        self._worker = make_worker(threads, "odometry")
+        self._tracker = FrameTracker(config.photometric)
+        self._timer = StageTimer()
+        self._state = OdometryState(status, np.eye(4), gyro)
+        self._update: Future[MapUpdate | None] | None = None
+        self._forget()
+
+    def warm_up(self) -> None:
+        """Run small synthetic frames through every kernel, in an instance of its own."""
+        from thermal_stereo_vo.odometry.direct.band_warm_up import synthetic_flight
+
+        throw_away = MultispectralOdometry(*self._settings)
+        for frame in synthetic_flight():
+            throw_away.process(frame)
+
+    def reset(self, T_world_rig: NDArray[np.float64]) -> None:
+        """Forget all images and go on from this pose."""
+        self._state.restart(T_world_rig)
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._update is not None:
+            self._update.result()
+        self._update = None
+        self._rng = np.random.default_rng(self._seed)
+        self._images: BandImages | None = None
+        self._map: BandMap | None = None
+        self._tracked: Tracked | None = None
+        self._frame: RigFrame | None = None
+        self._twist_before: tuple[NDArray[np.float64], float] | None = None
+
+    def local_map(self) -> PointCloud:
+        """The points that the last frame saw, with what both cameras show of them."""
+        if self._map is None or self._tracked is None or self._frame is None:
+            return PointCloud.empty()
+        points = self._tracked.points.take(np.flatnonzero(self._tracked.fits))
+        return self._map.cloud(points, self._frame, self._tracked.T_rig_world)
+
+    def process(self, frame: RigFrame) -> OdometryResult:
+        """Align with the window; make a keyframe when the view has changed."""
+        # The rig is where its first camera saw it from, which is no bolometer.
+        self._state.advance(frame.stamp_ns, by_bolometer=False)
+        self._frame = frame
+        if self._map is not None:
+            self._finish_update(self._map)
+        if not usable_roles(frame, _ROLES):
+            self._tracked = None
+            result = self._state.unmeasured(TrackStats(), blindness(frame))
+        elif self._map is None or self._images is None:
+            result = self._start(frame)
+        else:
+            result = self._track(self._map, self._images, frame)
+        result = with_stages(result, self._timer.take())
+        metric = self._map is not None and self._map.is_metric
+        return replace(result, scale_converged=True) if metric else without_unit(result)
+
+    # --- tracking ---------------------------------------------------------------------------------
+
+    def _track(self, band_map: BandMap, images: BandImages, frame: RigFrame) -> OdometryResult:
+        T_last, last_ns = self._last
+        elapsed_s = (frame.stamp_ns - last_ns) * 1e-9
+        late = LateCameras.after(band_map.rig.lags_s, T_last, elapsed_s, self._twist_before)
+        pyramids, tracked = self._locate(band_map, images, frame, late)
+        self._tracked = tracked
+        here = usable_roles(frame, _ROLES)
+        if tracked is None:
+            self._shown = np.zeros(len(images.roles), np.bool_)
+            result = self._state.unmeasured(TrackStats(), "the image does not fit the keyframes")
+            if result.status is TrackingStatus.LOST:
+                self._begin(frame)
+            return result
+        if not band_map.is_metric and len(here) > len(images.roles):
+            # One camera had to begin alone; a map of both is worth more than one without size.
+            result = self._state.unmeasured(TrackStats(), "starting again with both cameras")
+            self._begin(frame)
+            return result
+        return self._measured(band_map, frame, pyramids, tracked, late)
+
+    def _locate(
+        self, band_map: BandMap, images: BandImages, frame: RigFrame, late: LateCameras
+    ) -> tuple[Pyramids, Tracked | None]:
+        """First by the first camera, then by all: its motion takes the smear from the others."""
+        T_start = inverse(self._state.predicted())
+        rho, rig = band_map.rho, band_map.rig
+        cameras = len(images.roles)
+        window, light, tracked = band_map.window, self._brightness, None
+        with self._timer.stage("pyramid"):
+            first = images.pyramid(frame, 0, late.twist(T_start), rho, rig)
+        alone: Pyramids = (first, *[None] * (cameras - 1))
+        if first is not None and band_map.shows(0):
+            tracked = self._find(band_map, alone, T_start, light, late)
+        if cameras == 1:
+            return alone, tracked
+        T = T_start if tracked is None else tracked.T_rig_world
+        with self._timer.stage("pyramid"):
+            pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
+        if not band_map.is_metric or pyramids[1] is None or not band_map.shows(1):
+            self._shown[1] = False
+            return pyramids, tracked
+        if tracked is None:
+            tracked = self._find(band_map, pyramids, T_start, light, late)
+            if tracked is None:
+                return pyramids, None
+            # The smear was taken off by the predicted motion: once more by the measured one.
+            T = tracked.T_rig_world
+            with self._timer.stage("pyramid"):
+                pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
+        top = _SECOND_TOP if self._shown[1] else _TOP
+        self._shown[1] = True
+        with self._timer.stage("align both"):
+            both = self._tracker.track(window, pyramids, T, tracked.brightness, late, top)
+        return pyramids, tracked if both is None else both
+
+    def _find(
+        self,
+        band_map: BandMap,
+        pyramids: Pyramids,
+        T_start: NDArray[np.float64],
+        brightness: NDArray[np.float64],
+        late: LateCameras,
+    ) -> Tracked | None:
+        window = band_map.window
+        with self._timer.stage("align"):
+            tracked = self._tracker.track(window, pyramids, T_start, brightness, late, _TOP)
+        if tracked is None:
+            with self._timer.stage("search"):
+                starts = starts_around(T_start, self._last[0])
+                tracked = self._tracker.search(window, pyramids, starts, brightness, late)
+        return tracked
+
+    def _measured(
+        self,
+        band_map: BandMap,
+        frame: RigFrame,
+        pyramids: Pyramids,
+        tracked: Tracked,
+        late: LateCameras,
+    ) -> OdometryResult:
+        self._brightness = tracked.brightness
+        with self._timer.stage("depths"):
+            band_map.note(tracked, pyramids, late)
+        pose = band_map.pose_of(tracked)
+        is_keyframe = band_map.keyframe_is_due(tracked, pyramids)
+        stats = TrackStats(
+            features=len(tracked.points),
+            matches=int(tracked.seen.sum()),
+            inliers=tracked.count,
+            iterations=tracked.iterations,
+            keyframe=is_keyframe,
+            scale_sigma=band_map.scale_sigma,
+        )
+        T = tracked.T_rig_world
+        covariance = self._config.covariance_scale * tracked.covariance
+        motion = T @ inverse(late.T_before)
+        result = self._state.measured(pose, motion, covariance, late.elapsed_s, stats)
+        self._twist_before = late.mean_twist(T), late.elapsed_s
+        self._last = T, frame.stamp_ns
+        if is_keyframe:
+            with self._timer.stage("keyframe"):
+                band_map.add_keyframe(frame, pyramids, tracked, late, self._brightness)
+                self._update = self._worker.submit(band_map.adjustment())
+        return result
+
+    def _finish_update(self, band_map: BandMap) -> None:
+        """Wait for the adjustment that the last frame started, and take it over.
+
+        It is always taken over just before the next frame, however fast it was: timing must not
+        change results.
+        """
+        if self._update is None:
+            return
+        with self._timer.stage("wait for bundle"):
+            update = self._update.result()
+        self._update = None
+        if update is None:
+            return
+        factor = band_map.take(update)
+        window = band_map.window
+        newest = window.poses.newest
+        self._brightness = window.brightness[newest].copy()
+        # The last frame was that keyframe: the pose goes on from where it is now known to be.
+        self._last = window.poses.T_k_w[newest].copy(), self._last[1]
+        pose = window.poses.newest_pose()
+        if factor is None:
+            self._state.pose = pose
+            return
+        self._state.rescale(factor, pose)
+        if self._twist_before is not None:
+            self._twist_before[0][:3] *= factor
+
+    # --- start and recovery -----------------------------------------------------------------------
+
+    def _start(self, frame: RigFrame) -> OdometryResult:
+        self._begin(frame)
+        if self._map is None:
+            return self._state.unmeasured(TrackStats(), "too few points to start from")
+        points = len(self._map.window.points())
+        if self._state.is_lost:
+            return self._state.unmeasured(TrackStats(features=points), "starting again")
+        return self._state.started(TrackStats(features=points, keyframe=True))
+
+    def _begin(self, frame: RigFrame) -> None:
+        """Begin a new map with this frame, at the pose of the state."""
+        self._images = self._map = None
+        smoothing_px = self._config.photometric.smoothing_px
+        images = BandImages.of(frame, usable_roles(frame, _ROLES), smoothing_px, self._lag_s)
+        if images is None:
+            return
+        band_map = BandMap(self._config, images, self._room, self._state.pose, self._rng)
+        with self._timer.stage("pyramid"):
+            pyramids = tuple(
+                images.pyramid(frame, camera, None, 1.0, band_map.rig)
+                for camera in range(len(images.roles))
+            )
+        self._brightness = np.zeros((len(images.roles), 2))
+        self._shown = np.zeros(len(images.roles), np.bool_)
+        self._twist_before = None
+        self._last = inverse(self._state.pose.T_world_rig), frame.stamp_ns
+        self._state.prior.forget()
+        band_map.add_keyframe(frame, pyramids, None, None, self._brightness)
+        if band_map.count(0) >= 2 * self._config.photometric.min_inliers:
+            self._images, self._map = images, band_map
+
+
+def without_unit(result: OdometryResult) -> OdometryResult:
+    """A result in an arbitrary unit: its covariances say that lengths are worth nothing."""
+
+    def blurred(covariance: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        if covariance is None:
+            return None
+        out = covariance.copy()
+        out[:3, :] = out[:, :3] = 0.0
+        out[:3, :3] = _UNKNOWN * np.eye(3)
+        return out
+
+    return replace(
+        result,
+        scale_converged=False,
+        covariance=blurred(result.covariance),
+        twist_covariance=blurred(result.twist_covariance),
+    )
