@@ -47,4 +47,4 @@ def test_a_misspelt_key_would_be_seen() -> None:
 
 
 def test_files_for_flight_and_recordings_are_there() -> None:
-    assert {path.name for path in FILES} >= {"flight.yaml", "recording.yaml"}
+    assert {path.name for path in FILES} >= {"flight.yaml", "recording.yaml", "multispectral.yaml"}
