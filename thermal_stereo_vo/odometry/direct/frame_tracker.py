@@ -125,6 +125,7 @@ class _Attempt:
         self._A = np.zeros((POSE + 2 * cameras, POSE + 2 * cameras))
         self._g = np.zeros(POSE + 2 * cameras)
         self._energies = np.full((cameras, len(points)), np.nan)
+        self._T_rig_host = window.T_rig_host
         self.cost = np.inf
         self.iterations = 0
 
@@ -154,8 +155,9 @@ class _Attempt:
         gain = np.exp(light[:, :1] - host_a)
         variance = gain**2 * patches.var(axis=1)
         seen = np.isfinite(self._energies)
+        limit = np.minimum(config.gate**2, (1.0 - config.min_explained) * variance)
+        limit[self._explained(variance)] = config.gate**2
         with np.errstate(invalid="ignore"):
-            limit = np.minimum(config.gate**2, (1.0 - config.min_explained) * variance)
             good = self._energies < limit
         in_sight = np.asarray(np.any(seen, axis=0))
         fits = np.asarray(np.any(good, axis=0))
@@ -169,6 +171,17 @@ class _Attempt:
         return Tracked(
             points, in_sight, fits, T, sigma**2 * unit_covariance, light, sigma, self.iterations
         )
+
+    def _explained(self, variance: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(C,) bolometers whose patches explain their ``variance`` (C, N) all together.
+
+        Each of them may be as faint as the noise.
+        """
+        seen = np.isfinite(self._energies)
+        left = np.sum(self._energies, axis=1, where=seen)
+        there = np.sum(variance, axis=1, where=seen)
+        together = left < (1.0 - self._config.min_explained) * there
+        return np.asarray(self._window.rig.bolometers & together)
 
     def _brightness_part(self) -> NDArray[np.float64]:
         """(6, 6) what not knowing the brightness takes from the information of the pose."""
@@ -187,7 +200,7 @@ class _Attempt:
             use[1 + int(np.argmax(use)) :] = False
         self.cost, _, iterations = align_frame(
             T, light, images, use, window.rig.cameras, T_camera_rig, 0.5**level,
-            window.poses.T_k_w, window.brightness, window.T_rig_host, points.hosts,
+            window.poses.T_k_w, window.brightness, self._T_rig_host, points.hosts,
             points.host_cameras, points.bearings, points.rhos, points.rho_information,
             window.rig.steps * 2.0**level, *window.patches(points, level), window.rig.bands,
             window.rig.bolometers, config.huber, config.gate * (1.0 + level), level == 0,

@@ -283,7 +283,11 @@ def _linearise(
 
 def moved_by(twists: NDArray[np.float64], lags_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """(K, C, 4, 4) rigs when each camera looked from rigs now, by their twists (K, 6)."""
-    return np.stack([[exp_se3(lag_s * twist) for lag_s in lags_s] for twist in twists])
+    out = np.tile(np.eye(4), (len(twists), len(lags_s), 1, 1))
+    for camera in np.flatnonzero(lags_s):
+        for k, twist in enumerate(twists):
+            out[k, camera] = exp_se3(lags_s[camera] * twist)
+    return out
 
 
 def residuals_of_window(

@@ -12,7 +12,7 @@ from numba import njit
 from thermal_stereo_vo.odometry.direct.frame_alignment import invert
 from thermal_stereo_vo.odometry.direct.photometric import COLUMNS, PIXELS, RHO, linearise_patch
 
-_STEPS = 4
+_STEPS = 3
 
 
 @njit(cache=True, nogil=True)
@@ -33,7 +33,6 @@ def scan_scales(  # type: ignore[no-untyped-def]
     T, T_inv, arms = np.empty((4, 4)), np.empty((4, 4)), np.zeros((2, 3))
     T_rel = np.empty((K, K, 4, 4))
     step = np.array([1.0 / camera[0], 1.0 / camera[1]])
-    rho_now = rhos.copy()
     limit = gate * gate
     count = 0
     for i in range(len(factors)):
@@ -55,7 +54,7 @@ def scan_scales(  # type: ignore[no-untyped-def]
             if not trust > 0.0:
                 continue
             best = np.inf
-            rho = rho_now[n]
+            rho = rhos[n]
             for _ in range(_STEPS):
                 off = rho_priors[n] - rho
                 H, b = prior_information[n], prior_information[n] * off
@@ -87,8 +86,7 @@ def scan_scales(  # type: ignore[no-untyped-def]
                     cost += share * energy
                     H += share * share * h_patch
                     b += share * share * b_patch
-                if cost < best:
-                    best, rho_now[n] = cost, rho
+                best = min(best, cost)
                 if not H > 0.0:
                     break
                 rho = max(rho + b / H, 1e-5)

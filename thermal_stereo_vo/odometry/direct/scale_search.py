@@ -27,7 +27,8 @@ from thermal_stereo_vo.odometry.direct.rig import with_arms
 from thermal_stereo_vo.odometry.direct.scale_scan import scan_scales
 
 LEAST_KEYFRAMES = 4
-_STEP = 0.08
+_STEP = 0.12
+_MOST_POINTS = 150
 _ITERATIONS = 12
 _MEMORY = 8
 _CURVES = 5
@@ -85,6 +86,7 @@ class ScaleSearch:
         """
         costs = np.zeros(len(self.log_scales))
         second = np.flatnonzero(problem.host_cameras == 1)
+        second = second[:: 1 + len(second) // _MOST_POINTS]
         seen = np.ascontiguousarray(problem.seen[second][:, :, 1])
         if not np.any(seen):
             return None
