@@ -10,6 +10,15 @@ from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig
 
 
 @dataclass(frozen=True)
+class BandSelectionConfig(SelectionConfig):
+    """How many points there are and how they spread."""
+
+    points: int = setting(
+        375, "Points the keyframes of the first camera keep in sight.", minimum=100, maximum=5000
+    )
+
+
+@dataclass(frozen=True)
 class BandKeyframeConfig:
     """When a frame becomes a keyframe, and how keyframes are adjusted."""
 
@@ -93,7 +102,7 @@ class MultispectralConfig:
     """Direct visible + thermal odometry."""
 
     photometric: PhotometricConfig = group(PhotometricConfig, "How brightness is compared.")
-    selection: SelectionConfig = group(SelectionConfig, "Which pixels become points.")
+    selection: BandSelectionConfig = group(BandSelectionConfig, "Which pixels become points.")
     keyframes: BandKeyframeConfig = group(BandKeyframeConfig, "When a frame is kept.")
     scale: ScaleConfig = group(ScaleConfig, "When the size of the map is known.")
     second_share: float = setting(
