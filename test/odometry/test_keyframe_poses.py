@@ -56,3 +56,39 @@ def test_an_adjustment_is_taken_over_slot_by_slot(rng):
         refined[2] @ inverse(refined[0]), (root @ root.T)[6:, 6:]
     )
     np.testing.assert_allclose(window.newest_pose().covariance, alone.covariance, atol=1e-12)
+
+
+def filled(poses, step):
+    window = KeyframePoses(len(poses))
+    for i, pose in enumerate(poses):
+        window.append(pose, np.zeros((6, 6)) if i == 0 else step)
+    return window
+
+
+def test_any_keyframe_may_go_without_moving_the_others(rng):
+    poses, step = chain(rng, 4)
+    window = filled(poses, step)
+    before = window.newest_pose()
+    window.drop(2)
+    assert window.order == [0, 1, 3]
+    np.testing.assert_array_equal(window.newest_pose().T_world_rig, before.T_world_rig)
+    np.testing.assert_array_equal(window.newest_pose().covariance, before.covariance)
+    window.drop(0)
+    assert window.order == [1, 3]
+    np.testing.assert_allclose(
+        window.newest_pose().covariance, before.covariance, rtol=0.05, atol=1e-12
+    )
+
+
+def test_lengths_in_another_unit(rng):
+    """Positions as seen from a point that stays, and the variances of lengths with them."""
+    poses, step = chain(rng, 3)
+    window = filled(poses, step)
+    before, origin_m = window.newest_pose(), poses[0].T_world_rig[:3, 3]
+    window.rescale(2.5, origin_m)
+    after = window.newest_pose()
+    way_m = before.T_world_rig[:3, 3] - origin_m
+    np.testing.assert_allclose(after.T_world_rig[:3, 3], origin_m + 2.5 * way_m, atol=1e-12)
+    np.testing.assert_allclose(after.T_world_rig[:3, :3], before.T_world_rig[:3, :3], atol=1e-12)
+    both = np.outer([2.5] * 3 + [1] * 3, [2.5] * 3 + [1] * 3)
+    np.testing.assert_allclose(after.covariance, before.covariance * both, rtol=1e-6, atol=1e-15)

@@ -79,3 +79,15 @@ def test_longer_is_never_surer(a_s, b_s):
 
 def test_nothing_unseen_costs_nothing():
     assert coasting_covariance(0.3, 0.0) == pytest.approx(np.zeros((6, 6)))
+
+
+def test_another_unit_changes_lengths_and_no_angles():
+    prior = ConstantVelocity()
+    prior.rescale(3.0)  # nothing known yet
+    prior.update(exp_se3([0.1, 0.2, 0.0, 0.0, 0.3, 0.0]), 0.5)
+    before = prior.twist.copy()
+    prior.rescale(3.0)
+    np.testing.assert_allclose(prior.twist[:3], 3.0 * before[:3])
+    np.testing.assert_allclose(prior.twist[3:], before[3:])
+    prior.coast()  # on what was measured before, in the same unit
+    np.testing.assert_allclose(prior.twist[:3], 3.0 * before[:3])

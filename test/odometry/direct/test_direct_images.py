@@ -12,6 +12,7 @@ from thermal_stereo_vo.odometry.direct.gradient_pyramid import (
     fill_gradients,
     gradients_reference,
 )
+from thermal_stereo_vo.odometry.direct.photometric_window import invert_all
 from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig, select_points
 from thermal_stereo_vo.odometry.direct.static_stereo import find_disparities
 
@@ -84,3 +85,8 @@ def test_disparities_are_those_of_the_room(room, rng):
     errors = np.abs(found - true)[good]
     assert 1e-3 < np.median(errors) < 0.15
     assert np.mean(errors < 0.5) > 0.9
+
+
+def test_many_motions_are_inverted_at_once(rng):
+    T = np.stack([exp_se3(rng.normal(size=6)) for _ in range(6)]).reshape(2, 3, 4, 4)
+    np.testing.assert_allclose(invert_all(T) @ T, np.broadcast_to(np.eye(4), T.shape), atol=1e-12)
