@@ -15,6 +15,7 @@ from thermal_stereo_vo.odometry.direct.band_cloud import cloud_of
 from thermal_stereo_vo.odometry.direct.band_images import BandImages
 from thermal_stereo_vo.odometry.direct.depth_guess import depths_around, random_depths
 from thermal_stereo_vo.odometry.direct.frame_tracker import ABSENT, Pyramids, Tracked
+from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
 from thermal_stereo_vo.odometry.direct.keyframe_choice import most_dispensable
 from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
 from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
@@ -32,6 +33,7 @@ from thermal_stereo_vo.odometry.direct.scale_search import (
     ScaleSearch,
     WindowScale,
 )
+from thermal_stereo_vo.odometry.direct.two_views import two_views
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 _ROOM_FACTOR = 8
@@ -128,6 +130,23 @@ class BandMap:
             self._config.photometric,
             self.rig.T_camera_rig @ late.T_then_now(tracked.T_rig_world),
         )
+
+    def start_from_two_views(self, pyramid: GradientPyramid) -> NDArray[np.float64] | None:
+        """T_rig_world of a frame that is far from the only keyframe, whose depths follow.
+
+        None where there are more, or where two views tell nothing.
+        """
+        window = self.window
+        if len(window.poses.order) != 1 or not window.has_image[window.poses.newest, 0]:
+            return None
+        slot = window.poses.newest
+        views = two_views(_grey(window.stacks[0][slot]), _grey(pyramid[0]), window.rig.cameras[0])
+        if views is None:
+            return None
+        window.guess_again(0, views.pixels, views.rhos, _GUESS_SIGMA)
+        T_rig_camera, T_camera_rig = window.rig.T_rig_camera[0], window.rig.T_camera_rig[0]
+        moved = T_rig_camera @ views.T_second_first @ T_camera_rig
+        return np.asarray(moved @ window.poses.T_k_w[slot])
 
     def keyframe_is_due(self, tracked: Tracked, pyramids: Pyramids) -> bool:
         """Whether the first camera that sees has too few points, or some have moved far."""
@@ -336,3 +355,8 @@ class BandMap:
     def _shift_lag(self, lag_s: float) -> None:
         rig = self.rig
         self.window.rig = replace(rig, lags_s=rig.lags_s + lag_s * rig.bolometers)
+
+
+def _grey(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(H, W) picture of a pyramid level, for corners."""
+    return np.asarray(np.clip(128.0 + image[..., 0], 0, 255).astype(np.uint8))

@@ -189,6 +189,10 @@ class MultispectralOdometry:
         window = band_map.window
         with self._timer.stage("align"):
             tracked = self._tracker.track(window, pyramids, T_start, brightness, late, _TOP)
+        if tracked is None and pyramids[0] is not None:
+            T_between = band_map.start_from_two_views(pyramids[0])
+            if T_between is not None:
+                tracked = self._tracker.track(window, pyramids, T_between, brightness, late, _TOP)
         if tracked is None:
             with self._timer.stage("search"):
                 starts = starts_around(T_start, self._last[0])

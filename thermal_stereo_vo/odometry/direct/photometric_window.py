@@ -186,6 +186,22 @@ class PhotometricWindow:
                 self.stacks[camera][slot] = pyramid[0]
         return slot
 
+    def guess_again(
+        self,
+        camera: int,
+        pixels: NDArray[np.float64],
+        rhos: NDArray[np.float64],
+        relative_sigma: float,
+    ) -> None:
+        """Give the points of a camera the inverse depths (N,) of ``pixels`` (N, 2) near by."""
+        mine = np.flatnonzero((self._hosts >= 0) & (self._host_cameras == camera))
+        away = np.sum((self._px[mine][:, None] - pixels[None]) ** 2, axis=2)
+        near = np.argsort(away, axis=1)[:, :3]
+        found = np.median(rhos[near], axis=1)
+        information = (self.sigma / (relative_sigma * found)) ** 2
+        self._rhos[mine] = self._rho_priors[mine] = found
+        self._rho_information[mine] = self._prior_information[mine] = information
+
     def drop_keyframe(self, slot: int) -> None:
         """Forget a keyframe and its points."""
         self._drop(np.flatnonzero(self._hosts == slot))
