@@ -84,8 +84,7 @@ class Pipeline:
     ) -> None:
         self._config = config
         self.rectifier = rig_rectifier(config, calibration)
-        R_rig_imu = self.rectifier.rectified_calibration.R_rig_imu
-        self.gyro = create_gyro(config.odometry, R_rig_imu)
+        self.gyro = create_gyro(config.odometry, self.rectifier.rectified_calibration)
         self.odometry = create_odometry(config.odometry, self.gyro)
         self._roles = self.odometry.requirements.roles
         self._observers = ObserverList(observers)
@@ -131,7 +130,7 @@ class Pipeline:
     def push_imu(self, sample: ImuSample) -> None:
         """Feed one inertial measurement, before the frames that come after it."""
         if self.gyro is not None:
-            self.gyro.push(sample.stamp_ns, sample.rate_rad_s)
+            self.gyro.push(sample.stamp_ns, sample.rate_rad_s, sample.force_m_s2)
 
     def flush(self) -> Iterator[OdometryResult]:
         """The source has ended: frames that still wait for a partner go on alone."""

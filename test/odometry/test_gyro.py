@@ -247,12 +247,20 @@ def test_without_samples_nothing_changes():
 def test_axes_of_the_imu_follow_calibration_and_rectification(tmp_path: Path, room):
     rig = room.calibration()
     np.testing.assert_array_equal(rig.R_rig_imu, default_T_base_rig()[:3, :3].T)
+    np.testing.assert_array_equal(rig.imu_position_m, np.zeros(3))
     downwards = make_transform(exp_so3([0.3, 0.1, -0.2]), [0.1, 0.0, 0.0])
     np.testing.assert_array_equal(replace(rig, T_base_rig=downwards).R_rig_imu, downwards[:3, :3].T)
     T_rig_imu = make_transform(exp_so3([0.5, -0.2, 0.1]), [0.01, 0.02, 0.03])
     given_imu = replace(rig, T_base_rig=downwards, T_rig_imu=T_rig_imu)
     read = parse_rig(dump_rig(given_imu), tmp_path / "rig.yaml")
     np.testing.assert_array_equal(read.R_rig_imu, T_rig_imu[:3, :3])
+    np.testing.assert_array_equal(read.imu_position_m, T_rig_imu[:3, 3])
+    # The rig sits 0.1 m before the origin of its base, where the IMU is thought to be.
+    np.testing.assert_allclose(
+        downwards @ [*replace(rig, T_base_rig=downwards).imu_position_m, 1.0],
+        [0, 0, 0, 1],
+        atol=1e-12,
+    )
 
     # Eyes that squint are rectified: the rig of the results is turned against the calibration's.
     squint = make_transform(exp_so3([0.0, 0.06, 0.0]), [0.25, 0.0, 0.02])
@@ -381,7 +389,8 @@ def test_a_bag_brings_its_imu(flight, tmp_path: Path):
     path = tmp_path / "bag"
     with BagWriter(path) as bag:
         for sample in flight.samples:
-            bag.write_imu("/mavros/imu/data", sample.stamp_ns, sample.rate_rad_s, np.zeros(3), "b")
+            force = np.array([0.0, 1.0, 2.0])  # of no gravity, so that nothing goes by it
+            bag.write_imu("/mavros/imu/data", sample.stamp_ns, sample.rate_rad_s, force, "b")
             bag.write_imu("/mavros/imu/data_raw", sample.stamp_ns, np.ones(3), np.zeros(3), "b")
         for frame in flight.images:
             bag.write_image(f"/{frame.camera}/image_raw", frame.stamp_ns, frame.image, "x")
@@ -391,6 +400,7 @@ def test_a_bag_brings_its_imu(flight, tmp_path: Path):
     np.testing.assert_array_equal(
         [s.rate_rad_s for s in samples], [s.rate_rad_s for s in flight.samples]
     )
+    np.testing.assert_array_equal([s.force_m_s2 for s in samples], len(samples) * [[0.0, 1.0, 2.0]])
     config = with_overrides(Config(), ["odometry.gyro.enabled=true"])
     from_bag = replay(dataset, flight.calibration(), config).results
     for a, b in zip(from_bag, run(flight), strict=True):

@@ -50,6 +50,24 @@ def test_a_gap_begins_with_the_mean_of_the_last_tenth_of_a_second(step_s, averag
     assert prior.twist is None
 
 
+def test_noise_moves_the_twist_no_further_than_an_acceleration_could():
+    """Of 100 noisy steps at constant speed the twist is surer than any one of them."""
+    rng, step_s, sigma_m = np.random.default_rng(1), 0.05, 0.03
+    covariance = np.diag([sigma_m**2] * 3 + [1e-10] * 3)
+    places = 2.0 * step_s * np.arange(101) + sigma_m * rng.standard_normal(101)
+    prior, found, measured = ConstantVelocity(), [], np.diff(places) / step_s
+    for way in np.diff(places):
+        prior.update(exp_se3([0, 0, way, 0, 0.01, 0]), step_s, covariance)
+        found.append(prior.twist.copy())
+    assert np.std(measured[20:]) > 0.7
+    assert np.std(np.array(found)[20:, 2]) < 0.35 * np.std(measured[20:])
+    assert np.mean(np.array(found)[20:, 2]) == pytest.approx(2.0, abs=0.1)
+    np.testing.assert_allclose(np.array(found)[:, 4], 0.2, atol=1e-3)
+    sure = np.diag([1e-10] * 6)
+    prior.update(exp_se3([0, 0, 0.4, 0, 0, 0]), step_s, sure)
+    assert prior.twist[2] == pytest.approx(8.0, abs=0.01)
+
+
 def test_coasting_costs_what_the_accelerations_may_do():
     """0.5 s at 3 m/s^2 and 2 rad/s^2: 0.375 m, 0.25 rad, 1.5 m/s and 1 rad/s (one sigma)."""
     sigma = np.sqrt(np.diag(coasting_covariance(0.0, 0.5)))

@@ -193,6 +193,14 @@ class RigCalibration:
         T_base_rig = default_T_base_rig() if self.T_base_rig is None else self.T_base_rig
         return T_base_rig[:3, :3].T
 
+    @property
+    def imu_position_m(self) -> NDArray[np.float64]:
+        """(3,) where the IMU sits in the rig; without ``T_rig_imu`` at the origin of the base."""
+        if self.T_rig_imu is not None:
+            return self.T_rig_imu[:3, 3]
+        T_base_rig = default_T_base_rig() if self.T_base_rig is None else self.T_base_rig
+        return inverse(T_base_rig)[:3, 3]
+
     def check_stereo(self) -> None:
         """Refuse a pair that no stereo method can work with.
 

@@ -110,6 +110,14 @@ def angular_rate_of(message: Any) -> NDArray[np.float64] | None:
     return np.array([w.x, w.y, w.z])
 
 
+def specific_force_of(message: Any) -> NDArray[np.float64] | None:
+    """(3,) m/s^2 of an ``Imu``, or None for one that measures none (first covariance -1)."""
+    if message.linear_acceleration_covariance[0] == -1.0:
+        return None
+    a = message.linear_acceleration
+    return np.array([a.x, a.y, a.z])
+
+
 def telemetry_of(message: Any, camera: str) -> Telemetry | None:
     """What a ``DiagnosticArray`` tells of ``camera``, or None."""
     for status in message.status:

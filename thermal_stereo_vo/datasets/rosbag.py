@@ -29,6 +29,7 @@ from thermal_stereo_vo.datasets.bag_messages import (
     camera_info_of,
     image_of,
     pose_of,
+    specific_force_of,
     stamp_of,
     telemetry_of,
 )
@@ -108,7 +109,7 @@ class RosbagDataset:
         return read_bag_poses(self._path, topic, T_base_rig)
 
     def imu(self) -> Iterator[ImuSample]:
-        """The angular rates of the inertial topic; none without one."""
+        """What the inertial topic says; nothing without one."""
         if self._imu_topic is None:
             return
         last_ns = -1
@@ -117,7 +118,7 @@ class RosbagDataset:
                 stamp_ns, rate_rad_s = stamp_of(message, log_ns), angular_rate_of(message)
                 if rate_rad_s is not None and stamp_ns > last_ns:
                     last_ns = stamp_ns
-                    yield ImuSample(stamp_ns, rate_rad_s)
+                    yield ImuSample(stamp_ns, rate_rad_s, specific_force_of(message))
 
     def _frames_of(self, role: str) -> Iterator[RawFrame]:
         topic = self.topics[role]

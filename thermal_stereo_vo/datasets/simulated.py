@@ -33,7 +33,7 @@ class SimulatedDataset:
     def imu(self) -> Iterator[ImuSample]:
         """Turn rates in axes of ``base_link``."""
         for measured in self.simulation.inertial():
-            yield ImuSample(measured.stamp_ns, measured.rate_rad_s)
+            yield ImuSample(measured.stamp_ns, measured.rate_rad_s, measured.force_m_s2)
 
     def ground_truth(self) -> Trajectory:
         return self.simulation.ground_truth()

@@ -124,11 +124,16 @@ def camera_info_to_msg(info: CameraInfoFields, stamp_ns: int, frame_id: str) -> 
 
 
 def imu_from_msg(message: Imu) -> ImuSample | None:
-    """The angular rate of a ``sensor_msgs/Imu``; None when it measures none."""
+    """What a ``sensor_msgs/Imu`` measures; None when it measures no angular rate."""
     if message.angular_velocity_covariance[0] == -1.0:
         return None
-    rate = message.angular_velocity
-    return ImuSample(stamp_from_msg(message.header.stamp), np.array([rate.x, rate.y, rate.z]))
+    rate, force = message.angular_velocity, message.linear_acceleration
+    measures_force = message.linear_acceleration_covariance[0] != -1.0
+    return ImuSample(
+        stamp_from_msg(message.header.stamp),
+        np.array([rate.x, rate.y, rate.z]),
+        np.array([force.x, force.y, force.z]) if measures_force else None,
+    )
 
 
 def odometry_to_msg(fields: OdometryFields) -> Odometry:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.errors import ConfigError
 from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
@@ -16,7 +14,7 @@ from thermal_stereo_vo.odometry.direct.stereo_method import DirectConfig, Stereo
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import FrameToFrameOdometry
 from thermal_stereo_vo.odometry.feature_based.windowed import WindowedConfig, WindowedOdometry
-from thermal_stereo_vo.odometry.gyro import GyroConfig, GyroIntegrator
+from thermal_stereo_vo.odometry.gyro import AccelerometerConfig, GyroConfig, GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Odometry, Requirements
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
@@ -42,6 +40,7 @@ class OdometryConfig:
     )
     status: StatusConfig = group(StatusConfig, "Statuses and coasting.")
     gyro: GyroConfig = group(GyroConfig, "Guidance by an IMU.")
+    accelerometer: AccelerometerConfig = group(AccelerometerConfig, "And by its forces.")
     feature: FeatureConfig = group(FeatureConfig, "Features and their matching.")
     windowed: WindowedConfig = group(WindowedConfig, "Tracking against keyframes.")
     direct: DirectConfig = group(DirectConfig, "Direct odometry.")
@@ -67,9 +66,14 @@ def methods_for(roles: Collection[str]) -> tuple[str, ...]:
     return tuple(method for method in METHODS if set(needed[method]) <= set(roles))
 
 
-def create_gyro(config: OdometryConfig, R_rig_imu: NDArray[np.float64]) -> GyroIntegrator | None:
-    """The guidance by an IMU with axes ``R_rig_imu`` (3, 3), or None when it is not wanted."""
-    return GyroIntegrator(config.gyro, R_rig_imu) if config.gyro.enabled else None
+def create_gyro(config: OdometryConfig, rig: RigCalibration) -> GyroIntegrator | None:
+    """The guidance by an IMU where ``rig`` has it, or None when it is not wanted."""
+    if not config.gyro.enabled:
+        return None
+    # Visible + thermal odometry does not know from the start how long a metre is.
+    by_force = config.accelerometer.enabled and config.method != "multispectral"
+    accelerometer = config.accelerometer if by_force else None
+    return GyroIntegrator(config.gyro, rig.R_rig_imu, accelerometer, rig.imu_position_m)
 
 
 def create_odometry(config: OdometryConfig, gyro: GyroIntegrator | None = None) -> Odometry:

@@ -29,3 +29,9 @@ def inverse_information(A: NDArray[np.float64]) -> NDArray[np.float64] | None:
     if not invert_positive(A / scale, _LEAST_PIVOT, inverse):
         return None
     return inverse / scale
+
+
+def positive(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The nearest symmetric (N, N) matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.transforms import adjoint, inverse
+from thermal_stereo_vo.odometry.information import positive
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 
@@ -80,7 +81,7 @@ class KeyframePoses:
                 T_slot_heir = self.T_k_w[slot] @ inverse(self.T_k_w[heir])
                 Ad = adjoint(T_slot_heir)
                 rest = self._relative[slot] - Ad @ heir_given_oldest @ Ad.T
-                self._relative[slot] = _positive(rest)
+                self._relative[slot] = positive(rest)
             self._relative.pop(heir, None)
         self.order.pop(0)
         self._relative.pop(oldest, None)
@@ -112,9 +113,3 @@ class KeyframePoses:
         if slot == oldest:
             return start
         return start.moved(self.T_k_w[slot] @ T_world_oldest, self._relative[slot])
-
-
-def _positive(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest symmetric matrix without negative eigenvalues."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -19,16 +19,37 @@ MEMORY_S = 0.1
 
 
 class ConstantVelocity:
-    """The twist of the last measured motion goes on."""
+    """The twist of the last measured motion goes on.
+
+    A noisy measurement moves it no further than accelerations could have changed it (a Kalman
+    filter, one gain for the velocity and one for the rate).
+    """
 
     def __init__(self) -> None:
         self.twist: NDArray[np.float64] | None = None
+        self._variance = np.zeros(2)
         self._recent: deque[tuple[float, NDArray[np.float64]]] = deque()
 
-    def update(self, T_before_after: NDArray[np.float64], duration_s: float) -> None:
-        """Learn from a measured motion (4, 4)."""
-        self.twist = log_se3(T_before_after) / duration_s
-        self._recent.append((duration_s, self.twist))
+    def update(
+        self,
+        T_before_after: NDArray[np.float64],
+        duration_s: float,
+        covariance: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Learn from a measured motion (4, 4), whose ends have this covariance (6, 6) each."""
+        measured = log_se3(T_before_after) / duration_s
+        noise = np.zeros(2)
+        if covariance is not None:
+            noise = 2.0 / 3.0 * np.diag(covariance).reshape(2, 3).sum(axis=1) / duration_s**2
+        if self.twist is None:
+            self.twist, self._variance = measured.copy(), noise
+        else:
+            accelerations = np.array([ACCELERATION_M_S2, ANGULAR_ACCELERATION_RAD_S2])
+            predicted = self._variance + (accelerations * duration_s) ** 2
+            gain = predicted / (predicted + noise)
+            self.twist = self.twist + np.repeat(gain, 3) * (measured - self.twist)
+            self._variance = (1.0 - gain) * predicted
+        self._recent.append((duration_s, measured))
         while len(self._recent) > 1 and sum(s for s, _ in self._recent) > 1.01 * MEMORY_S:
             self._recent.popleft()
 

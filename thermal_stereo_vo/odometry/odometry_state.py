@@ -11,6 +11,7 @@ from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus, TrackStats
 from thermal_stereo_vo.core.transforms import exp_se3, inverse, make_transform
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
+from thermal_stereo_vo.odometry.inertial_filter import InertialFilter, InertialStep
 from thermal_stereo_vo.odometry.motion_prior import (
     ConstantVelocity,
     coasting_covariance,
@@ -27,7 +28,7 @@ class OdometryState:
     while LOST it stays where the rig was lost, so that the pose goes on from there after a
     recovery.  A bolometer shows what it saw its time constant ago: results are moved on by that
     lag, to the stamp of the frame.  A ``gyro`` guides the rotation of predictions wherever it has
-    samples.
+    samples, and their translation where it comes with an accelerometer.
     """
 
     def __init__(
@@ -50,6 +51,11 @@ class OdometryState:
         self.pose = PoseEstimate.start(T_world_rig)
         self._origin_m = self.pose.T_world_rig[:3, 3].copy()
         self.prior = ConstantVelocity()
+        self._inertial: InertialFilter | None = None
+        if self._gyro is not None and self._gyro.accelerometer is not None:
+            self._inertial = InertialFilter(self._gyro.accelerometer, self._gyro.lever_m)
+        self._inertial_step: InertialStep | None = None
+        self._inertial_growth = np.zeros((3, 3))
         self._twist_covariance = np.zeros((6, 6))
         self._stamp_ns: int | None = None
         self._step_s = 0.0
@@ -77,9 +83,11 @@ class OdometryState:
                 "odometry after a jump of the clock"
             )
         self._step_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
+        before_ns = None if self._stamp_ns is None else self._seen_ns
         self._stamp_ns = stamp_ns
         if by_bolometer is not None:
             self._by_bolometer = by_bolometer
+        self._go_by_inertia(before_ns)
         return self._step_s
 
     def rescale(self, factor: float, pose: PoseEstimate) -> None:
@@ -89,10 +97,22 @@ class OdometryState:
         self._twist_covariance *= np.outer(lengths, lengths)
         self.prior.rescale(factor)
 
+    def _go_by_inertia(self, before_ns: int | None) -> None:
+        """Where the accelerometer leads since the frame before."""
+        self._inertial_step = None
+        if self._gyro is None or self._inertial is None or before_ns is None:
+            return
+        felt = self._gyro.increments_between(before_ns, self._seen_ns)
+        self._inertial_step = self._inertial.propagate(felt, self.pose.T_world_rig[:3, :3])
+        if self._inertial_step is not None:
+            self._inertial_growth = self._inertial_growth + self._inertial_step.growth
+
     def predicted(self) -> NDArray[np.float64]:
         """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
         if self.is_lost:
             return self.pose.T_world_rig @ _turned(self._felt(self._step_s))
+        if self._inertial_step is not None:
+            return self.pose.T_world_rig @ self._inertial_step.T_before_after
         return self.pose.T_world_rig @ self.predicted_motion(self._step_s)
 
     def predicted_motion(self, elapsed_s: float) -> NDArray[np.float64]:
@@ -102,10 +122,17 @@ class OdometryState:
     def foretold_covariance(self) -> NDArray[np.float64]:
         """(6, 6) of the prediction for the frame just taken, given the last measured pose."""
         unseen_s = self._status.unseen_s(self._now)
-        return coasting_covariance(0.0, unseen_s) + unseen_s**2 * self._twist_covariance
+        foretold = coasting_covariance(0.0, unseen_s) + unseen_s**2 * self._twist_covariance
+        if self._inertial_step is not None and self._gyro is not None:
+            foretold[:3] = foretold[:, :3] = 0.0
+            foretold[:3, :3] = self._inertial_growth
+            foretold[3:, 3:] = self._gyro.coasting_variance(0.0, unseen_s) * np.eye(3)
+        return foretold
 
     def started(self, stats: TrackStats, reason: str = "first frame") -> OdometryResult:
         """The first usable frame: its pose is the start."""
+        if self._inertial is not None:
+            self._inertial.measured(self.pose.T_world_rig, np.zeros((3, 3)))
         return self._result(self._status.started(self._now), stats, reason)
 
     def measured(
@@ -125,7 +152,11 @@ class OdometryState:
         if self._gyro is not None:
             since_ns = self._seen_ns - round(elapsed_s * 1e9)
             self._gyro.learn_bias(since_ns, self._seen_ns, inverse(T_after_before)[:3, :3])
-        self.prior.update(inverse(T_after_before), elapsed_s)
+        if self._inertial is not None:
+            R = pose.T_world_rig[:3, :3]
+            self._inertial.measured(pose.T_world_rig, R @ covariance[:3, :3] @ R.T)
+            self._inertial_growth = np.zeros((3, 3))
+        self.prior.update(inverse(T_after_before), elapsed_s, covariance)
         self._twist_covariance = covariance / elapsed_s**2
         return self._result(self._status.measured(self._now, stats.inliers), stats, "")
 
@@ -137,7 +168,16 @@ class OdometryState:
         felt = self._felt(self._step_s)
         if felt is not None and self._gyro is not None:
             unknown[3:, 3:] = self._gyro.coasting_variance(unseen_s, self._step_s) * np.eye(3)
-        if status is TrackingStatus.GAP:
+        inertial = self._inertial_step
+        if self._inertial is not None:
+            self._inertial.tilted(float(unknown[3, 3]))
+        if status is TrackingStatus.GAP and inertial is not None:
+            motion = inertial.T_before_after
+            R_after = self.pose.T_world_rig[:3, :3] @ motion[:3, :3]
+            unknown[:3, :3] = R_after.T @ inertial.growth @ R_after
+            self.pose = self.pose.moved(inverse(motion), unknown)
+            self.prior.update(motion, self._step_s)
+        elif status is TrackingStatus.GAP:
             self.prior.coast()
             motion = self.prior.predict(self._step_s, felt)
             self.pose = self.pose.moved(inverse(motion), unknown)
@@ -146,6 +186,8 @@ class OdometryState:
         elif status is TrackingStatus.LOST:
             # The pose stays where it was lost, less and less sure, for the recovery to go on from.
             self.pose = self.pose.moved(inverse(_turned(felt)), unknown)
+            if self._inertial is not None:
+                self._inertial.lose_track()
         return self._result(status, stats, reason)
 
     @property
@@ -179,6 +221,11 @@ class OdometryState:
             if self._gyro is not None and self._felt(self._step_s) is not None:
                 twist_covariance[3:] = twist_covariance[:, 3:] = 0.0
                 twist_covariance[3:, 3:] = self._gyro.rate_variance(self._step_s) * np.eye(3)
+            if self._inertial_step is not None:
+                R = self.pose.T_world_rig[:3, :3]
+                velocity = R.T @ self._inertial_step.velocity_covariance @ R
+                twist_covariance[:3] = twist_covariance[:, :3] = 0.0
+                twist_covariance[:3, :3] = velocity
         twist = np.zeros(6) if self.prior.twist is None else self.prior.twist.copy()
         T_world_rig = self.pose.T_world_rig @ exp_se3(twist * self._lag_s)
         return OdometryResult(
