@@ -22,11 +22,20 @@ from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 BORDER_PX = 8.0
 """Nearer to the border a patch may be missed without blame."""
+NO_GUESS = -1
+MEASURED = 0.25
+"""Share of the information of a disparity from which a guessed depth counts as measured."""
+DISPARITY_SIGMA_PX = 0.4
+"""What a measured disparity is about worth, to weigh a guessed one against it."""
 
 
 @dataclass(frozen=True)
 class WindowPoints:
-    """A selection of points: ``index`` (N,) in the window, sorted by host; see KeyframeWindow."""
+    """A selection of points: ``index`` (N,) in the window, sorted by host; see KeyframeWindow.
+
+    ``guesser`` (N,): NO_GUESS, or the eye (0 left, 1 right) that saw a point alone and whose guess
+    of the depth nothing has confirmed yet.
+    """
 
     index: NDArray[np.int64]
     hosts: NDArray[np.int64]
@@ -34,6 +43,7 @@ class WindowPoints:
     bearings: NDArray[np.float64]
     rhos: NDArray[np.float64]
     rho_information: NDArray[np.float64]
+    guesser: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.index)
@@ -47,6 +57,7 @@ class WindowPoints:
             self.bearings[chosen],
             self.rhos[chosen],
             self.rho_information[chosen],
+            self.guesser[chosen],
         )
 
 
@@ -80,6 +91,9 @@ class KeyframeWindow:
         self._observed = np.full((keyframes, capacity, 4), np.nan)
         self._misses = np.zeros(capacity, np.int64)
         self._intensity = np.zeros(capacity, np.float32)
+        self._depth_trust = np.ones(capacity)
+        """Weight of the disparity in the host: 1 where an eye measured it, little for a guess."""
+        self._guesser = np.full(capacity, NO_GUESS, np.int8)
 
     @property
     def eyes(self) -> NDArray[np.float64]:
@@ -115,6 +129,7 @@ class KeyframeWindow:
         """All points, sorted by host so that each relative pose is computed once."""
         index = np.flatnonzero(self._hosts >= 0)
         index = index[np.argsort(self._hosts[index], kind="stable")]
+        measured = MEASURED * (self.camera.fx * self.camera.baseline_m) ** 2
         return WindowPoints(
             index,
             self._hosts[index],
@@ -122,6 +137,7 @@ class KeyframeWindow:
             self._bearings(self._host_px[index]),
             self._rhos[index],
             self._rho_information[index],
+            np.where(self._rho_information[index] < measured, self._guesser[index], NO_GUESS),
         )
 
     def seen_by_newest(self) -> NDArray[np.float64]:
@@ -249,6 +265,31 @@ class KeyframeWindow:
         self._observed[slot, free, 2] = right_x_px
         self._misses[free] = 0
         self._intensity[free] = intensity[: len(free)]
+        self._depth_trust[free] = 1.0
+        self._guesser[free] = NO_GUESS
+
+    def add_guessed_points(
+        self,
+        pixels: NDArray[np.int64],
+        rhos: NDArray[np.float64],
+        sigmas: NDArray[np.float64],
+        intensity: NDArray[Any],
+        eye: int,
+    ) -> None:
+        """Give the newest keyframe (N, 2) new points that only this eye saw (0 left, 1 right).
+
+        Their inverse depths (N,) are guesses with these standard deviations (N,) in 1/m: as good
+        as a disparity that is as much less trusted than a measured one.
+        """
+        camera = self.camera
+        gain = camera.fx * camera.baseline_m
+        right_x_px = pixels[:, 0] - camera.cx + camera.cx_right - gain * rhos
+        free = np.flatnonzero(self._hosts < 0)[: len(pixels)]
+        self.add_points(pixels, right_x_px, intensity)
+        trust = (DISPARITY_SIGMA_PX / (gain * sigmas[: len(free)])) ** 2
+        self._depth_trust[free] = np.minimum(trust, 1.0)
+        self._rho_information[free] *= self._depth_trust[free]
+        self._guesser[free] = eye
 
     def bundle_problem(self, radial_trust: float) -> tuple[BundleProblem, NDArray[np.int64]]:
         """A copy of everything bundle adjustment needs, and the (N,) index of its points."""
@@ -257,14 +298,17 @@ class KeyframeWindow:
         rank = np.zeros(len(self.T_keyframe_world), np.int64)
         rank[slots] = np.arange(len(slots))
         observed = self._observed[slots][:, points.index]
+        hosts = rank[points.hosts]
+        weights = self.radial_weights(points.host_px, observed, radial_trust)
+        weights[hosts, np.arange(len(hosts))] *= self._depth_trust[points.index]
         return (
             BundleProblem(
                 self.T_keyframe_world[slots].copy(),
-                rank[points.hosts],
+                hosts,
                 points.bearings,
                 points.rhos,
                 np.ascontiguousarray(observed),
-                self.radial_weights(points.host_px, observed, radial_trust),
+                weights,
                 self.eyes,
             ),
             points.index,
@@ -280,7 +324,10 @@ class KeyframeWindow:
         self._rho_information[index] = solution.rho_information
         limit_px = outlier_sigmas * solution.sigma_px
         wrong = np.any(np.abs(solution.residuals) > limit_px, axis=2)
+        guessed = self._guesser[index] != NO_GUESS
         for k, slot in enumerate(slots):
+            # A guess of a depth may be far off; it is no observation.
+            wrong[k] &= ~(guessed & (self._hosts[index] == slot))
             self._observed[slot, index[wrong[k]]] = np.nan
         # A point that its own host's right eye contradicts has no depth to speak of.
         hosts = self._hosts[index]

@@ -19,7 +19,11 @@ from thermal_stereo_vo.odometry.feature_based.frame_pose import (
     refine_frame_pose,
 )
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS, Pyramid, build_pyramid
-from thermal_stereo_vo.odometry.feature_based.keyframe_window import KeyframeWindow, WindowPoints
+from thermal_stereo_vo.odometry.feature_based.keyframe_window import (
+    NO_GUESS,
+    KeyframeWindow,
+    WindowPoints,
+)
 from thermal_stereo_vo.odometry.feature_based.patch_alignment import align_patches
 
 Pyramids = tuple[Pyramid | None, Pyramid | None]
@@ -158,7 +162,8 @@ class PatchTracker:
         best_first = seen[np.argsort(-score[seen], kind="stable")]
         chosen = points.take(best_first)
         geometry = (window.T_keyframe_world, chosen.hosts, chosen.bearings, chosen.rhos)
-        pixels, eyes = observed[best_first], window.eyes
+        counted = _without_guesses(points, observed)
+        pixels, eyes = counted[best_first], window.eyes
         samples = prosac_samples(self._rng, len(chosen), config.ransac_iterations)
         count, T = ransac_frame_pose(
             T_start, *geometry, pixels, eyes, samples, config.inlier_px, 0.999
@@ -168,19 +173,20 @@ class PatchTracker:
         # The sample fixed depths that the refinement leaves free: be generous before it.
         marked = np.empty(len(chosen), np.bool_)
         mark_inliers(T, *geometry, pixels, eyes, 2.0 * config.inlier_px, marked)
-        return self._refine(window, points, observed, np.sort(best_first[marked]), T)
+        return self._refine(window, points, observed, counted, np.sort(best_first[marked]), T)
 
     def _refine(
         self,
         window: KeyframeWindow,
         points: WindowPoints,
         observed: NDArray[np.float64],
+        counted: NDArray[np.float64],
         index: NDArray[np.intp],
         T_start: NDArray[np.float64],
     ) -> Tracked | None:
         config = self._config
         chosen = points.take(index)
-        pixels = np.ascontiguousarray(observed[index])
+        pixels = np.ascontiguousarray(counted[index])
         pose = refine_frame_pose(
             T_start,
             window.T_keyframe_world,
@@ -203,6 +209,20 @@ class PatchTracker:
         if int(inliers.sum()) < config.min_inliers:
             return None
         return Tracked(points, observed, inliers, pose)
+
+
+def _without_guesses(points: WindowPoints, observed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 4) observations, of points with a guessed depth only by the eye that found them.
+
+    A disparity against a guess would shift the pose.
+    """
+    if np.all(points.guesser == NO_GUESS):
+        return observed
+    counted = observed.copy()
+    for eye in (0, 1):
+        found_again = np.isfinite(observed[:, 2 * eye])
+        counted[(points.guesser == eye) & found_again, 2 - 2 * eye : 4 - 2 * eye] = np.nan
+    return counted
 
 
 class _Alignment:

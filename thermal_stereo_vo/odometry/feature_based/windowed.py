@@ -5,8 +5,9 @@ pixel; its pose comes from those observations together with the inverse depths o
 (``frame_pose``).  When the view has changed enough, the frame becomes a keyframe: while the next
 image is on its way, it gets new points, and all keyframes of the window are adjusted together
 (``bundle_adjustment``).
-Where nothing moves no keyframe comes, so that nothing drifts at hover.  When patches are lost (a
-gap, a fast turn), descriptors find the way back to the newest keyframe.
+Where nothing moves no keyframe comes, so that nothing drifts at hover.  While one eye is blind the
+other goes on alone, with keyframes of its own once the known points leave its picture.  When
+patches are lost (a gap, a fast turn), descriptors find the way back to the newest keyframe.
 """
 
 from __future__ import annotations
@@ -21,25 +22,32 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT
 from thermal_stereo_vo.core.config import group, setting
 from thermal_stereo_vo.core.frames import RigFrame
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus, TrackStats
-from thermal_stereo_vo.core.transforms import inverse
+from thermal_stereo_vo.core.transforms import adjoint, inverse
 from thermal_stereo_vo.observers import StageTimer
 from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
     BundleSolution,
     adjust_bundle,
 )
-from thermal_stereo_vo.odometry.feature_based.corners import CornerConfig
+from thermal_stereo_vo.odometry.feature_based.corners import CornerConfig, find_corners
 from thermal_stereo_vo.odometry.feature_based.extrinsics import (
     ExtrinsicsConfig,
     ExtrinsicsRefiner,
 )
 from thermal_stereo_vo.odometry.feature_based.feature_matching import FeatureConfig, FeatureMatcher
 from thermal_stereo_vo.odometry.feature_based.frame_to_frame import blindness
+from thermal_stereo_vo.odometry.feature_based.image_pyramid import Pyramid
 from thermal_stereo_vo.odometry.feature_based.keyframe_window import (
     KeyframeWindow,
     WindowPoints,
     positions_m,
 )
 from thermal_stereo_vo.odometry.feature_based.loop_matching import StereoFeatures
+from thermal_stereo_vo.odometry.feature_based.one_eye_keyframe import (
+    guess_inverse_depths,
+    known_inverse_depths,
+    right_eye_pose,
+    seen_by_one_eye,
+)
 from thermal_stereo_vo.odometry.feature_based.patch_tracker import (
     PatchTracker,
     Pyramids,
@@ -57,6 +65,9 @@ from thermal_stereo_vo.odometry.workers import make_worker
 
 MOST_MISSES = 3
 """A point that should be in sight but is not found this many times in a row is given up."""
+SCARCE = 0.5
+"""Share of the points found since a keyframe below which a single eye needs another one: the
+fewer such keyframes there are, the longer those of both eyes, which know the scale, are kept."""
 STILL_ALIKE = 0.9
 """Share of a keyframe's points above which another frame shows hardly anything new."""
 
@@ -179,6 +190,9 @@ class WindowedOdometry:
         self._extrinsics = ExtrinsicsRefiner(self._config.extrinsics, self._room)
         self._window: KeyframeWindow | None = None
         self._keyframe: RigFrame | None = None
+        self._keyframe_slot = 0
+        self._newest_is_by_one_eye = False
+        self._most_inliers = 0
         self._keyframe_features: StereoFeatures | None = None
         self._keyframe_count = 0
         self._completion: Future[_Completed] | None = None
@@ -229,6 +243,8 @@ class WindowedOdometry:
             tracked, frame = self._look_with_one_eye(window, frame, pyramids)
         if tracked is not None and len(frame.views) < 2 and self._is_worse_than_guessed(tracked):
             tracked = None
+        if tracked is not None and self._tracked is None:
+            tracked = self._look_again(window, pyramids, tracked)
         self._tracked = tracked
         if tracked is not None:
             return self._measured(window, frame, pyramids, tracked)
@@ -243,6 +259,11 @@ class WindowedOdometry:
                 # Nothing of the window can be found any more: go on from the prediction.
                 self._begin_window(frame)
         return result
+
+    def _look_again(self, window: KeyframeWindow, pyramids: Pyramids, tracked: Tracked) -> Tracked:
+        """After a gap the prediction is poor and loses many points: look from where the rig is."""
+        again = self._look(window, pyramids, tracked.pose.T_camera_world)
+        return again if again is not None and again.count > tracked.count else tracked
 
     def _look_with_one_eye(
         self, window: KeyframeWindow, frame: RigFrame, pyramids: Pyramids
@@ -288,7 +309,12 @@ class WindowedOdometry:
             window.note_tracking(
                 tracked.points, tracked.inliers, tracked.pose.T_camera_world, MOST_MISSES
             )
-        is_keyframe = both_eyes and self._keyframe_is_due(window, tracked)
+        self._most_inliers = max(self._most_inliers, tracked.count)
+        if both_eyes:
+            # Depths that were guessed with one eye are measured as soon as both see again.
+            is_keyframe = self._newest_is_by_one_eye or self._keyframe_is_due(window, tracked)
+        else:
+            is_keyframe = self._one_eye_keyframe_is_due(window, frame, tracked)
         stats = TrackStats(
             features=len(tracked.points),
             matches=int(np.sum(np.any(np.isfinite(tracked.observed), axis=1))),
@@ -307,7 +333,10 @@ class WindowedOdometry:
         self._last_view = _LastView(frame, pyramids, tracked) if both_eyes else None
         seen = tracked.points.take(np.flatnonzero(tracked.inliers))
         self._seen = _Seen(seen, window.T_keyframe_world.copy(), window.intensities(seen))
-        if is_keyframe:
+        if is_keyframe and not both_eyes:
+            with self._timer.stage("keyframe"):
+                self._add_one_eye_keyframe(window, frame, pyramids, tracked)
+        elif is_keyframe:
             if tracked.count < self._status_config.degraded_inliers:
                 # A thread of few points would let the adjustment swing old against new: what is
                 # measured now stays measured, with its covariance.
@@ -331,6 +360,14 @@ class WindowedOdometry:
         if len(points) < self._config.tracking.min_inliers:
             return True
         return window.parallax_px(points, tracked.pose.T_camera_world) > config.parallax_px
+
+    def _one_eye_keyframe_is_due(
+        self, window: KeyframeWindow, frame: RigFrame, tracked: Tracked
+    ) -> bool:
+        if LEFT not in frame.views and window.camera.cx != window.camera.cx_right:
+            return False  # keyframes have the principal point of the left eye
+        enough = tracked.count >= self._status_config.degraded_inliers
+        return enough and tracked.count < SCARCE * self._most_inliers
 
     def _add_keyframe(
         self,
@@ -356,6 +393,8 @@ class WindowedOdometry:
                 tracked.observed[inliers],
             )
         self._keyframe, self._keyframe_features = frame, None
+        self._keyframe_slot, self._newest_is_by_one_eye = window.newest, False
+        self._most_inliers = 0
         self._completion = self._worker.submit(self._complete, window, frame, pyramids, occupied_px)
 
     def _complete(
@@ -395,6 +434,51 @@ class WindowedOdometry:
             iterations=config.keyframes.bundle_iterations,
         )
         return _Completed(count, index, solution)
+
+    def _add_one_eye_keyframe(
+        self, window: KeyframeWindow, frame: RigFrame, pyramids: Pyramids, tracked: Tracked
+    ) -> None:
+        """Take a frame of one eye into the window, as seen from where that eye is.
+
+        It stays where it was measured until the next adjustment: by itself an eye knows no scale.
+        """
+        T_eye_left = np.eye(4) if LEFT in frame.views else right_eye_pose(window)
+        pyramid = pyramids[0] if LEFT in frame.views else pyramids[1]
+        assert pyramid is not None
+        known = known_inverse_depths(window, tracked, T_eye_left @ tracked.pose.T_camera_world)
+        inliers = np.flatnonzero(tracked.inliers)
+        Ad = adjoint(T_eye_left)
+        occupied_px = window.add_keyframe(
+            self._state.pose.moved(T_eye_left, np.zeros((6, 6))),
+            self._config.covariance_scale * Ad @ tracked.pose.covariance @ Ad.T,
+            pyramid,
+            tracked.points.take(inliers),
+            seen_by_one_eye(tracked.observed[inliers]),
+        )
+        self._newest_is_by_one_eye = True
+        self._most_inliers = 0
+        if self._keyframe_slot == window.newest:
+            self._keyframe = None
+        self._completion = self._worker.submit(
+            self._complete_one_eye, window, frame, pyramid, occupied_px, known
+        )
+
+    def _complete_one_eye(
+        self,
+        window: KeyframeWindow,
+        frame: RigFrame,
+        pyramid: Pyramid,
+        occupied_px: NDArray[np.float64],
+        known: tuple[NDArray[np.float64], NDArray[np.float64]],
+    ) -> _Completed:
+        """Give the newest keyframe points at guessed depths."""
+        role, view = next(iter(frame.views.items()))
+        border_px = 2 * self._config.tracking.patch_radius_px + 2
+        pixels = find_corners(pyramid[0], occupied_px, border_px, view.mask, self._config.corners)
+        rhos, sigmas = guess_inverse_depths(*known, pixels)
+        intensity = view.image[pixels[:, 1], pixels[:, 0]]
+        window.add_guessed_points(pixels, rhos, sigmas, intensity, eye=(LEFT, RIGHT).index(role))
+        return _Completed(len(pixels) + len(occupied_px), np.zeros(0, np.int64), None)
 
     def _keep_last_view(self, window: KeyframeWindow) -> None:
         """Make a keyframe of the last good frame, as an eye is blind now.
@@ -462,7 +546,8 @@ class WindowedOdometry:
 
     def _find_back(self, window: KeyframeWindow, frame: RigFrame) -> NDArray[np.float64] | None:
         """(4, 4) T_camera_world by descriptors against the newest keyframe, or None."""
-        assert self._keyframe is not None
+        if self._keyframe is None:
+            return None
         matcher = self._matcher
         if self._keyframe_features is None:
             views = self._keyframe.views
@@ -472,4 +557,4 @@ class WindowedOdometry:
         motion = matcher.measure(matches, window.camera, None)
         if motion is None:
             return None
-        return np.asarray(motion.T_current_previous @ window.T_keyframe_world[window.newest])
+        return np.asarray(motion.T_current_previous @ window.T_keyframe_world[self._keyframe_slot])
