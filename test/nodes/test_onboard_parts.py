@@ -21,6 +21,7 @@ from thermal_stereo_vo.core.cameras import LEFT, RIGHT
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus
 from thermal_stereo_vo.nodes import conversions, onboard_node
 from thermal_stereo_vo.nodes.onboard_health import ANOTHER_TIME_MS, LatencyMeter
+from thermal_stereo_vo.nodes.publisher import ResultPublisher
 from thermal_stereo_vo.nodes.view_publisher import ViewPublisher
 from thermal_stereo_vo.nodes.vitals import ProcessLoad, Window, resident_mb
 
@@ -159,6 +160,45 @@ def test_a_rate_that_is_not_measured_is_none() -> None:
     covariance[0] = -1.0
     message.angular_velocity_covariance = covariance
     assert conversions.imu_from_msg(message) is None
+
+
+def test_forces_come_with_the_rates() -> None:
+    message = Imu()
+    message.linear_acceleration.x, message.linear_acceleration.z = 0.3, 9.8
+    sample = conversions.imu_from_msg(message)
+    assert sample is not None
+    np.testing.assert_array_equal(sample.force_m_s2, [0.3, 0.0, 9.8])
+    covariance = message.linear_acceleration_covariance
+    covariance[0] = -1.0
+    message.linear_acceleration_covariance = covariance
+    sample = conversions.imu_from_msg(message)
+    assert sample is not None
+    assert sample.force_m_s2 is None
+
+
+def test_resets_are_counted_on_when_another_pipeline_takes_over(ros) -> None:
+    """As after a calibration that changed in flight."""
+    publisher = ResultPublisher(ros.node, np.eye(4), odom_frame="odom", base_frame="base")
+    counted = []
+
+    def publish(stamp_ns: int, reset_counter: int) -> None:
+        tracking = TrackingStatus.TRACKING
+        publisher.on_result(
+            OdometryResult(
+                stamp_ns, tracking, np.eye(4), np.eye(6), np.zeros(6), np.eye(6),
+                reset_counter=reset_counter,
+            )
+        )  # fmt: skip
+        assert publisher.last is not None
+        counted.append(publisher.last.reset_counter)
+
+    publisher.expect_another_pipeline()
+    publish(1, 0)
+    publish(2, 2)
+    publisher.expect_another_pipeline()
+    publish(3, 1)  # it was reset to the last pose
+    publish(4, 2)
+    assert counted == [0, 2, 3, 4]
 
 
 @pytest.mark.parametrize("offered", [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT])

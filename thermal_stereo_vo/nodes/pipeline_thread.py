@@ -76,6 +76,7 @@ class PipelineThread:
         pipeline.warm_up()
         self._node.get_logger().info(f"kernels are ready after {time.monotonic() - start_s:.1f} s")
         self.pipeline = pipeline
+        self._publisher.expect_another_pipeline()
         if self._publisher.last_pose is not None:
             pipeline.reset(self._publisher.last_pose)
         self._ready.set()

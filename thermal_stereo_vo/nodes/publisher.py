@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
@@ -58,6 +60,11 @@ class ResultPublisher(Observer):
         self.publish_tf = False
         self.last: OdometryResult | None = None
         self.last_pose: NDArray[np.float64] | None = None
+        self._resets_before = 0
+
+    def expect_another_pipeline(self) -> None:
+        """Results of another pipeline follow, which counts its resets from zero."""
+        self._resets_before = 0 if self.last is None else self.last.reset_counter
 
     @property
     def has_tf(self) -> bool:
@@ -65,6 +72,7 @@ class ResultPublisher(Observer):
         return self._tf is not None
 
     def on_result(self, result: OdometryResult) -> None:
+        result = replace(result, reset_counter=result.reset_counter + self._resets_before)
         fields = None
         if self._may_be_told(result):
             fields = odometry_fields(
