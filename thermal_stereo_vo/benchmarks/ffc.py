@@ -185,7 +185,7 @@ def rms_error_m(cells: Sequence[FfcCell]) -> float:
     return float(np.sqrt(np.mean([cell.final_error_m**2 for cell in cells])))
 
 
-def ffc_report(cells: Sequence[FfcCell]) -> str:
+def ffc_report(cells: Sequence[FfcCell], *, with_imu: bool) -> str:
     """A row for each flight and schedule."""
     rows = []
     for flight in dict.fromkeys(cell.flight for cell in cells):
@@ -223,6 +223,7 @@ def ffc_report(cells: Sequence[FfcCell]) -> str:
     ]
     notes = [
         "",
+        "coasting by images, gyro and accelerometer" if with_imu else "coasting by images alone",
         "final: root mean square over the seeds; scatter: noise of a single position",
         "ratio: of the final error to that without corrections, neither below that scatter",
         "jump: from where pose and twist of the message before lead, by its own claim",

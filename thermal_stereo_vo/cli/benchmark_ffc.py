@@ -13,7 +13,8 @@ def add_ffc_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what ``run_ffc`` reads."""
     parser.description = (
         "Fly a straight leg, a turn and hover without and with flat-field corrections, staggered "
-        "and of both cameras at once, 0.5 s and 1 s long."
+        "and of both cameras at once, 0.5 s and 1 s long.  An IMU helps with --set "
+        "odometry.gyro.enabled=true."
     )
     add_config_arguments(parser)
     parser.add_argument("--rate", type=float, default=20.0, metavar="HZ", help="frame rate (20)")
@@ -52,5 +53,5 @@ def run_ffc(args: argparse.Namespace) -> int:
         cells = list(
             measure_all(seeds, config, args.rate, args.scale, args.cache, flights, on_progress=step)
         )
-    print(ffc_report(cells))
+    print(ffc_report(cells, with_imu=config.odometry.gyro.enabled))
     return 0
