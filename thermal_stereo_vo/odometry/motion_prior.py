@@ -83,6 +83,7 @@ class ConstantVelocity:
         lengths = np.array([factor] * 3 + [1.0] * 3)
         if self.twist is not None:
             self.twist = self.twist * lengths
+        self._variance = self._variance * [factor**2, 1.0]
         self._recent = deque((duration_s, twist * lengths) for duration_s, twist in self._recent)
 
     def forget(self) -> None:
