@@ -55,7 +55,6 @@ class OdometryState:
         if self._gyro is not None and self._gyro.accelerometer is not None:
             self._inertial = InertialFilter(self._gyro.accelerometer, self._gyro.lever_m)
         self._inertial_step: InertialStep | None = None
-        self._inertial_growth = np.zeros((3, 3))
         self._twist_covariance = np.zeros((6, 6))
         self._stamp_ns: int | None = None
         self._step_s = 0.0
@@ -104,8 +103,6 @@ class OdometryState:
             return
         felt = self._gyro.increments_between(before_ns, self._seen_ns)
         self._inertial_step = self._inertial.propagate(felt, self.pose.T_world_rig[:3, :3])
-        if self._inertial_step is not None:
-            self._inertial_growth = self._inertial_growth + self._inertial_step.growth
 
     def predicted(self) -> NDArray[np.float64]:
         """(4, 4) T_world_rig at the frame just taken, if the twist has gone on since the last."""
@@ -120,14 +117,13 @@ class OdometryState:
         return self.prior.predict(elapsed_s, self._felt(elapsed_s))
 
     def foretold_covariance(self) -> NDArray[np.float64]:
-        """(6, 6) of the prediction for the frame just taken, given the last measured pose."""
+        """(6, 6) of a prediction by the twist for the frame just taken, given the last measured pose.
+
+        It is that of images alone, also where an IMU knows better: what an eye sees is left for no
+        less.
+        """
         unseen_s = self._status.unseen_s(self._now)
-        foretold = coasting_covariance(0.0, unseen_s) + unseen_s**2 * self._twist_covariance
-        if self._inertial_step is not None and self._gyro is not None:
-            foretold[:3] = foretold[:, :3] = 0.0
-            foretold[:3, :3] = self._inertial_growth
-            foretold[3:, 3:] = self._gyro.coasting_variance(0.0, unseen_s) * np.eye(3)
-        return foretold
+        return coasting_covariance(0.0, unseen_s) + unseen_s**2 * self._twist_covariance
 
     def started(self, stats: TrackStats, reason: str = "first frame") -> OdometryResult:
         """The first usable frame: its pose is the start."""
@@ -155,7 +151,6 @@ class OdometryState:
         if self._inertial is not None:
             R = pose.T_world_rig[:3, :3]
             self._inertial.measured(pose.T_world_rig, R @ covariance[:3, :3] @ R.T)
-            self._inertial_growth = np.zeros((3, 3))
         self.prior.update(inverse(T_after_before), elapsed_s, covariance)
         self._twist_covariance = covariance / elapsed_s**2
         return self._result(self._status.measured(self._now, stats.inliers), stats, "")
