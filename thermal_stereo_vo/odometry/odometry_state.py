@@ -117,7 +117,7 @@ class OdometryState:
         return self.prior.predict(elapsed_s, self._felt(elapsed_s))
 
     def foretold_covariance(self) -> NDArray[np.float64]:
-        """(6, 6) of a prediction by the twist for the frame just taken, given the last measured pose.
+        """(6, 6) of what the twist foretells of this frame, given the last measured pose.
 
         It is that of images alone, also where an IMU knows better: what an eye sees is left for no
         less.
