@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import argparse
 
+import cv2
 import numpy as np
 import pytest
 
 from thermal_stereo_vo.benchmarks.enhancement import (
     VIEWS,
+    EnhancementCell,
     enhancement_report,
     measure_views,
+    plot_views,
 )
 from thermal_stereo_vo.benchmarks.shutterless import (
     PATTERN_FREE,
@@ -110,3 +113,17 @@ def test_every_mapping_is_flown_and_told(tmp_path):
     assert all(cell.mean_inliers > 0 for cell in cells)
     assert any(tmp_path.iterdir())
     assert len(enhancement_report(cells).splitlines()) == 2 + len(VIEWS)
+    plot_views(tmp_path / "ways.png", cells)
+    assert min(cv2.imread(str(tmp_path / "ways.png")).shape[:2]) > 500
+
+
+def test_a_view_that_shows_nothing_claims_no_accuracy():
+    nothing = EnhancementCell("dark", 1, None, 0.0, 0.0, 2.0, np.zeros((1, 3)), np.zeros((1, 3)))
+    assert enhancement_report([nothing]).splitlines()[-1].split() == [
+        "dark",
+        "1",
+        "-",
+        "-",
+        "0",
+        "2",
+    ]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from thermal_stereo_vo.core.cameras import RigCalibration
 from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus
 from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
+from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
 from thermal_stereo_vo.evaluation.association import compare
 from thermal_stereo_vo.evaluation.metrics import Metrics, measure
@@ -25,12 +26,19 @@ if TYPE_CHECKING:
 class Flown:
     """Results of all rig frames, and what they are worth.
 
-    ``errors_m`` (N, 3) are the errors of the positions, worlds made equal at the first pose.
+    ``positions_m`` and ``true_positions_m`` (N, 3) are the positions that both know, in the world
+    of the first pose.
     """
 
     results: tuple[OdometryResult, ...]
     metrics: Metrics
-    errors_m: NDArray[np.float64]
+    positions_m: NDArray[np.float64]
+    true_positions_m: NDArray[np.float64]
+
+    @property
+    def errors_m(self) -> NDArray[np.float64]:
+        """(N, 3) errors of the positions."""
+        return self.positions_m - self.true_positions_m
 
     @property
     def mean_inliers(self) -> float:
@@ -64,5 +72,11 @@ def fly(
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     comparison = compare(estimated_trajectory(results), truth, frame_stamps_ns=stamps_ns)
     laid_over = aligned(comparison, Alignment.ORIGIN)
-    errors_m = laid_over.estimated_positions_m - laid_over.true_positions_m
-    return Flown(results, measure(comparison), errors_m[comparison.has_pose])
+    T_first_world = inverse(comparison.T_world_true[0])
+    known = comparison.has_pose
+    return Flown(
+        results,
+        measure(comparison),
+        (T_first_world @ laid_over.T_world_est[known])[:, :3, 3],
+        (T_first_world @ laid_over.T_world_true[known])[:, :3, 3],
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from thermal_stereo_vo.cli.benchmark_flight_arguments import (
     add_flight_arguments,
@@ -18,7 +19,10 @@ def add_enhancement_arguments(parser: argparse.ArgumentParser) -> None:
         "Fly a simulated rig and compare the odometry on 8-bit views made in several ways, from "
         "the sensor's whole range to equalisation without the sky (Mouats et al. 2015, Fig. 9)."
     )
-    add_flight_arguments(parser)
+    add_flight_arguments(parser, length_m=60.0, scale=1.0)
+    parser.add_argument(
+        "--picture", type=Path, metavar="PNG", help="draw the ways from above (default: none)"
+    )
     parser.add_argument(
         "--window",
         type=int,
@@ -39,6 +43,7 @@ def run_enhancement(args: argparse.Namespace) -> int:
         VIEWS,
         enhancement_report,
         measure_views,
+        plot_views,
     )
     from thermal_stereo_vo.core.config import with_overrides
     from thermal_stereo_vo.pipeline import Config
@@ -49,4 +54,6 @@ def run_enhancement(args: argparse.Namespace) -> int:
     with picture_cache(args) as cache, progress(flights, "flight", quiet=args.quiet) as step:
         cells = list(measure_views(seeds, args.preset, flight_settings(args), config, cache, step))
     print(enhancement_report(cells))
+    if args.picture is not None:
+        plot_views(args.picture, cells)
     return 0

@@ -9,18 +9,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 
-def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
+def add_flight_arguments(
+    parser: argparse.ArgumentParser, length_m: float = 120.0, scale: float = 0.5
+) -> None:
     """Declare which flight, how large and how often."""
     parser.add_argument("--preset", default="seq1", help="simulated flight (default: %(default)s)")
     parser.add_argument(
         "--length",
         type=float,
-        default=120.0,
+        default=length_m,
         metavar="M",
         help="length of the flight; 1350 is five minutes (default: %(default)g)",
     )
     parser.add_argument(
-        "--scale", type=float, default=0.5, help="image size relative to 640x480 (default: 0.5)"
+        "--scale",
+        type=float,
+        default=scale,
+        help="image size relative to 640x480 (default: %(default)g)",
     )
     parser.add_argument("--seeds", type=int, default=1, help="flights with other sensor noise")
     parser.add_argument(

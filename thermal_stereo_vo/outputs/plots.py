@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -26,6 +27,7 @@ ESTIMATE_COLOUR = "#0072B2"
 TRUTH_COLOUR = "#222222"
 END_COLOUR = "#D55E00"
 START_COLOUR = "#009E73"
+WAY_COLOURS = ("#E69F00", "#56B4E9", "#0072B2", "#CC79A7", "#D55E00")
 DPI = 130
 
 
@@ -106,6 +108,24 @@ def run_figure(
         summary = _summary(metrics)
     figure.suptitle(f"{title}\n{summary}" if title else summary, fontsize=12)
     return figure
+
+
+def plot_ways(path: Path, truth_m: Array, ways: Mapping[str, Array], title: str) -> None:
+    """Write several ways (N, 3) m beside the true one from above, y pointing down, as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    drawn = [_Way("ground truth", truth_m, TRUTH_COLOUR, width=2.6)]
+    drawn += [
+        _Way(name, positions_m, colour)
+        for (name, positions_m), colour in zip(ways.items(), cycle(WAY_COLOURS), strict=False)
+    ]
+    _draw_from_above(figure.add_subplot(), drawn, np.array([0.0, -1.0, 0.0]))
+    figure.suptitle(title)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=DPI, format="png")
 
 
 def view_from_above(up: Array) -> tuple[Array, Array]:
