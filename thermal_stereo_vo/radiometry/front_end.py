@@ -5,16 +5,16 @@ The correction node and the replay use these very objects.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from thermal_stereo_vo.core.cameras import VISIBLE
 from thermal_stereo_vo.core.config import group
 from thermal_stereo_vo.core.errors import ConfigError
-from thermal_stereo_vo.core.frames import RadiometricFrame, RawFrame
+from thermal_stereo_vo.core.frames import Image, RadiometricFrame, RawFrame
 from thermal_stereo_vo.radiometry.flat_field import (
     FlatField,
     FlatFieldCalibration,
@@ -43,27 +43,59 @@ class FrontEndConfig:
     visible: VisibleGateConfig = group(VisibleGateConfig, "When a visible camera is blind.")
 
 
-class FrontEnd(Protocol):
+class FrontEnd(ABC):
     """Judges and corrects the raw frames of one camera; ``decision`` is of the last one."""
 
     gate: FrameGate
-    decision: GateDecision
+
+    def __init__(self) -> None:
+        self.decision = GateDecision(GateState.TRACKING, 0)
 
     @property
     def flat_field_status(self) -> FlatFieldStatus | None:
         """How the last frame was corrected; None without a flat field."""
+        return None
 
-    def process(self, raw: RawFrame) -> RadiometricFrame | None:
-        """The frame, with ``image`` None while the camera is blind; None for a repeat."""
+    @abstractmethod
+    def _corrected(self, raw: RawFrame, decision: GateDecision) -> Image:
+        """The image of a frame that shows the scene."""
 
-    def check(self, silence_s: float) -> GateEvent | None:
-        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
-
+    @abstractmethod
     def warm_up(self) -> None:
         """Compile the kernels, so that the first frames are not late."""
 
+    def process(self, raw: RawFrame) -> RadiometricFrame | None:
+        """Judge and correct one frame; ``decision`` keeps what the gate thought of it.
+
+        Returns:
+            The frame, with ``image`` None while the camera is blind; or None for a frame that only
+            repeats the one before because the link is faster than the sensor.
+
+        Raises:
+            FrameError: for a size or type that does not fit settings, flat field or stream.
+            OutOfOrderError: for a stamp that does not lie after the last one.
+        """
+        self.decision = decision = self.gate.process(raw)
+        if decision.repeat:
+            return None
+        return RadiometricFrame(
+            image=None if decision.blind else self._corrected(raw, decision),
+            stamp_ns=raw.stamp_ns,
+            camera=raw.camera,
+            sequence=raw.sequence,
+            epoch=decision.epoch,
+            gap=decision.gap,
+            telemetry=raw.telemetry,
+            blind=decision.reason,
+        )
+
+    def check(self, silence_s: float) -> GateEvent | None:
+        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
+        return self.gate.check(self.gate.last_stamp_ns + round(silence_s * 1e9))
+
     def reset(self) -> None:
         """Forget all images: the clock was set back or another recording begins."""
+        self.gate.reset()
 
 
 def create_front_end(
@@ -75,7 +107,7 @@ def create_front_end(
     return ThermalFrontEnd(config, camera, on_event)
 
 
-class ThermalFrontEnd:
+class ThermalFrontEnd(FrontEnd):
     """Turns the raw frames of one camera into linear counts that the odometry may use.
 
     Args:
@@ -94,9 +126,9 @@ class ThermalFrontEnd:
         camera: str,
         on_event: Callable[[GateEvent], None] | None = None,
     ) -> None:
+        super().__init__()
         self.camera = camera
         self.gate = FrameGate(config.gate, camera, on_event)
-        self.decision = GateDecision(GateState.TRACKING, 0)
         self.serials = _serials(config.flat_field)
         self._flat_field = _open_flat_field(config.flat_field, camera, self.serials)
         self._scene_based: SceneBasedCorrection | None = None
@@ -108,58 +140,22 @@ class ThermalFrontEnd:
         """How the last frame was corrected; None without a flat field."""
         return None if self._flat_field is None else self._flat_field.status
 
-    def process(self, raw: RawFrame) -> RadiometricFrame | None:
-        """Judge and correct one frame; ``decision`` keeps what the gate thought of it.
-
-        Returns:
-            The frame, with ``image`` None while the camera is blind; or None for a frame that only
-            repeats the one before because the link is faster than the sensor.
-
-        Raises:
-            FrameError: for a size or type that does not fit settings, flat field or stream.
-            OutOfOrderError: for a stamp that does not lie after the last one.
-        """
-        self.decision = decision = self.gate.process(raw)
-        if decision.repeat:
-            return None
-        image = None
-        if not decision.blind:
-            image = raw.image
-            if self._flat_field is not None:
-                kelvin = None if raw.telemetry is None else raw.telemetry.fpa_temperature_kelvin
-                image = self._flat_field.process(image, kelvin, raw.stamp_ns)
-            if self._scene_based is not None:
-                image = self._scene_based.process(
-                    image, settled=decision.settled, epoch=decision.epoch
-                )
-        return RadiometricFrame(
-            image=image,
-            stamp_ns=raw.stamp_ns,
-            camera=raw.camera,
-            sequence=raw.sequence,
-            epoch=decision.epoch,
-            gap=decision.gap,
-            telemetry=raw.telemetry,
-            blind=decision.reason,
-        )
-
-    def check(self, silence_s: float) -> GateEvent | None:
-        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
-        return self.gate.check(self.gate.last_stamp_ns + round(silence_s * 1e9))
+    def _corrected(self, raw: RawFrame, decision: GateDecision) -> Image:
+        image = raw.image
+        if self._flat_field is not None:
+            kelvin = None if raw.telemetry is None else raw.telemetry.fpa_temperature_kelvin
+            image = self._flat_field.process(image, kelvin, raw.stamp_ns)
+        if self._scene_based is not None:
+            image = self._scene_based.process(image, settled=decision.settled, epoch=decision.epoch)
+        return image
 
     def warm_up(self) -> None:
         """Compile the kernels, so that the first frames are not late."""
         warm_up()
 
-    def reset(self) -> None:
-        """Forget all images: the clock was set back or another recording begins."""
-        self.gate.reset()
 
-
-class VisibleFrontEnd:
+class VisibleFrontEnd(FrontEnd):
     """Passes the frames of a visible camera on as they are, but for those that show nothing."""
-
-    flat_field_status = None
 
     def __init__(
         self,
@@ -167,30 +163,11 @@ class VisibleFrontEnd:
         camera: str,
         on_event: Callable[[GateEvent], None] | None = None,
     ) -> None:
-        self.gate: FrameGate = VisibleGate(config.gate, config.visible, camera, on_event)
-        self.decision = GateDecision(GateState.TRACKING, 0)
+        super().__init__()
+        self.gate = VisibleGate(config.gate, config.visible, camera, on_event)
 
-    def process(self, raw: RawFrame) -> RadiometricFrame | None:
-        """Judge one frame; None for one that only repeats the one before.
-
-        Raises what ``ThermalFrontEnd.process`` raises.
-        """
-        self.decision = decision = self.gate.process(raw)
-        if decision.repeat:
-            return None
-        return RadiometricFrame(
-            image=None if decision.blind else raw.image,
-            stamp_ns=raw.stamp_ns,
-            camera=raw.camera,
-            sequence=raw.sequence,
-            epoch=decision.epoch,
-            gap=decision.gap,
-            blind=decision.reason,
-        )
-
-    def check(self, silence_s: float) -> GateEvent | None:
-        """Tell of a stream that has been silent for so long that it is dead; None when not new."""
-        return self.gate.check(self.gate.last_stamp_ns + round(silence_s * 1e9))
+    def _corrected(self, raw: RawFrame, decision: GateDecision) -> Image:
+        return raw.image
 
     def warm_up(self) -> None:
         """Compile the kernels, so that the first frames are not late."""
@@ -199,10 +176,6 @@ class VisibleFrontEnd:
             gate = VisibleGate()
             for k, image in enumerate(images):
                 gate.process(RawFrame(image.astype(dtype), k, ""))
-
-    def reset(self) -> None:
-        """Forget all images: the clock was set back or another recording begins."""
-        self.gate.reset()
 
 
 def warm_up() -> None:
