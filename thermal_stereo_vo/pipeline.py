@@ -98,7 +98,8 @@ class Pipeline:
 
     def warm_up(self) -> None:
         """Compile or load every kernel before the first frame."""
-        for front_end in self.front_ends.values():
+        # Two cameras of a kind share their kernels.
+        for front_end in {type(f): f for f in self.front_ends.values()}.values():
             front_end.warm_up()
         self._gain.warm_up()
         self.odometry.warm_up()
