@@ -6,6 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermal_stereo_vo.cli.benchmark_sweep_arguments import (
+    PICTURES_FOLDER,
+    add_output_argument,
+    add_sampling_arguments,
+    add_work_arguments,
+    check_sweep_arguments,
+    say_nothing,
+)
 from thermal_stereo_vo.cli.config_arguments import (
     add_config_arguments,
     load_config,
@@ -17,8 +25,6 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.benchmarks.multispectral import BandJob, BandSweep
     from thermal_stereo_vo.evaluation.band_cell import BandCell
 
-PICTURES_FOLDER = "pictures"
-
 
 def add_multispectral_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what ``run_multispectral`` reads."""
@@ -29,9 +35,7 @@ def add_multispectral_arguments(parser: argparse.ArgumentParser) -> None:
         "and on the spot; and round a block at dusk.  Writes multispectral.md, .json and a picture "
         "of each run.  What is finished is not flown again."
     )
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="folder for the report"
-    )
+    add_output_argument(parser)
     parser.add_argument(
         "--source",
         metavar="SOURCE",
@@ -51,31 +55,14 @@ def add_multispectral_arguments(parser: argparse.ArgumentParser) -> None:
         help="of both, visible, thermal (default) and feature, which carries the thermal stereo "
         "rig along the same path",
     )
-    parser.add_argument(
-        "--seeds", type=int, default=3, metavar="N", help="sets of sensors (default 3)"
-    )
-    parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="frame rate (default the preset's)"
-    )
+    add_sampling_arguments(parser)
     parser.add_argument(
         "--duration", type=float, metavar="S", help="time of each run (default the preset's)"
     )
     parser.add_argument(
         "--length", type=float, metavar="M", help="length of the flight at dusk (default 320)"
     )
-    parser.add_argument(
-        "--processes", type=int, default=2, metavar="N", help="processes to use (default 2)"
-    )
-    parser.add_argument(
-        "--pictures",
-        type=Path,
-        metavar="DIR",
-        help="folder that keeps the rendered pictures, 1.2 MB a pair (default DIR/pictures of the "
-        "report)",
-    )
-    parser.add_argument(
-        "--forget-pictures", action="store_true", help="remove those of a preset once it is flown"
-    )
+    add_work_arguments(parser, "preset")
     add_config_arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -84,15 +71,13 @@ def run_multispectral(args: argparse.Namespace) -> int:
     """Fly what is missing and write the report; returns the exit code."""
     from thermal_stereo_vo.benchmarks.multispectral import open_band_jobs
     from thermal_stereo_vo.benchmarks.sweep import claim_folder, run_here
-    from thermal_stereo_vo.core.errors import ConfigError
 
-    if args.seeds < 1 or args.processes < 0:
-        raise ConfigError("--seeds must be 1 or more and --processes 0 or more")
+    check_sweep_arguments(args)
     sweep = _sweep(args)
     cells = claim_folder(args.output, sweep.settings())
     pictures = args.pictures or args.output / PICTURES_FOLDER
     jobs = open_band_jobs(sweep, cells, pictures, forget=args.forget_pictures)
-    say = _nothing if args.quiet else _print_cell
+    say = say_nothing if args.quiet else _print_cell
     with progress(sum(job.frames() for job in jobs), "pair", quiet=args.quiet) as step:
         run_here(jobs, cells, args.processes, on_frame=step, on_cell=say)
     _write_report(args, sweep, cells, jobs)
@@ -168,7 +153,3 @@ def _print_cell(cell: BandCell) -> None:
         f"coverage {cell.coverage_percent:.0f} %",
         flush=True,
     )
-
-
-def _nothing(_: BandCell) -> None:
-    """Say nothing."""

@@ -6,6 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermal_stereo_vo.cli.benchmark_sweep_arguments import (
+    PICTURES_FOLDER,
+    add_output_argument,
+    add_sampling_arguments,
+    add_work_arguments,
+    check_sweep_arguments,
+    say_nothing,
+)
 from thermal_stereo_vo.cli.config_arguments import (
     add_config_arguments,
     load_config,
@@ -19,8 +27,6 @@ if TYPE_CHECKING:
     from thermal_stereo_vo.benchmarks.sweep import FlightJob, Sweep
     from thermal_stereo_vo.evaluation.flight_cell import Cell
 
-PICTURES_FOLDER = "pictures"
-
 
 def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what ``run_table5`` reads."""
@@ -30,9 +36,7 @@ def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
         "method; write table5.md, .csv, .json and a picture of each flight.  What is finished is "
         "not flown again."
     )
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="folder for the report"
-    )
+    add_output_argument(parser)
     parser.add_argument(
         "--flights",
         nargs="+",
@@ -45,28 +49,11 @@ def add_table5_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="of GN, LM, DDL, windowed, direct (default all)",
     )
-    parser.add_argument(
-        "--seeds", type=int, default=3, metavar="N", help="sets of sensors (default 3)"
-    )
-    parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="frame rate (default the preset's)"
-    )
+    add_sampling_arguments(parser)
     parser.add_argument(
         "--length", type=float, metavar="M", help="length of each flight (default the preset's)"
     )
-    parser.add_argument(
-        "--processes", type=int, default=2, metavar="N", help="processes to use (default 2)"
-    )
-    parser.add_argument(
-        "--pictures",
-        type=Path,
-        metavar="DIR",
-        help="folder that keeps the rendered pictures, 1.2 MB a pair (default DIR/pictures of the "
-        "report; on a cluster, where it must be shared, none)",
-    )
-    parser.add_argument(
-        "--forget-pictures", action="store_true", help="remove those of a flight once it is flown"
-    )
+    add_work_arguments(parser, "flight", "; on a cluster, where it must be shared, none")
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
@@ -84,17 +71,15 @@ def run_table5(args: argparse.Namespace) -> int:
         run_here,
         run_on_cluster,
     )
-    from thermal_stereo_vo.core.errors import ConfigError
 
-    if args.seeds < 1 or args.processes < 0:
-        raise ConfigError("--seeds must be 1 or more and --processes 0 or more")
+    check_sweep_arguments(args)
     sweep = _sweep(args)
     pictures = args.pictures
     if pictures is None and args.scheduler is None:
         pictures = args.output / PICTURES_FOLDER
     cells = claim_folder(args.output, sweep.settings())
     jobs = open_jobs(sweep, cells, pictures, forget=args.forget_pictures)
-    say = _nothing if args.quiet else _print_cell
+    say = say_nothing if args.quiet else _print_cell
     if args.scheduler is not None:
         with progress(sum(job.cells for job in jobs), "cell", quiet=args.quiet) as step:
             run_on_cluster(jobs, cells, args.scheduler, on_cell=_both(say, step))
@@ -176,7 +161,3 @@ def _both(say: Callable[[Cell], None], step: Callable[[], None]) -> Callable[[Ce
         step()
 
     return on_cell
-
-
-def _nothing(_: Cell) -> None:
-    """Say nothing."""
