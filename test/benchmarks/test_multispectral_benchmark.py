@@ -7,6 +7,7 @@ import pytest
 
 from thermal_stereo_vo.benchmarks.multispectral import (
     CASES,
+    CONTENDERS,
     FLIGHTS,
     BandSweep,
     Run,
@@ -120,6 +121,21 @@ def test_the_stereo_rig_flies_the_same_path_by_features():
     assert (cell.name, cell.frames) == ("ms-01_feature_0", 9)
     assert cell.converged_after_s == 0.0
     assert len(ticks) == 9
+
+
+@needs_the_method
+def test_one_camera_alone_is_compared_with_its_own_path():
+    calibration = sweep("ms-01").simulated("ms-01", "visible_thermal", 0).calibration()
+    arm = calibration["thermal"].T_rig_camera[:3, 3]
+    assert np.linalg.norm(arm) > 0.05
+    told = {}
+    for name in ("both", "visible", "thermal"):
+        config = with_overrides(Config(), CONTENDERS[name].settings)
+        told[name] = CONTENDERS[name].told_pose(calibration, config)
+        np.testing.assert_array_equal(told[name][:3, :3], np.eye(3))
+    np.testing.assert_array_equal(told["both"][:3, 3], 0.0)
+    np.testing.assert_array_equal(told["visible"][:3, 3], 0.0)
+    np.testing.assert_array_equal(told["thermal"][:3, 3], arm)
 
 
 @needs_the_method

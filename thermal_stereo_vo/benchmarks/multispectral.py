@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from thermal_stereo_vo.benchmarks.sweep import kept_pictures
 from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE, RigCalibration
@@ -40,6 +41,16 @@ class Contender:
     settings: tuple[str, ...]
     cameras: tuple[str, ...]
     rig: str = "visible_thermal"
+
+    def told_pose(self, calibration: RigCalibration, config: Config) -> NDArray[np.float64]:
+        """``T_rig_told`` (4, 4): whose poses it tells, in the rig.
+
+        One camera alone tells its own, in axes of the rig: it knows no size, so no lever arm.
+        """
+        T_rig_told = rig_rectifier(config, calibration).T_rig_rectified.copy()
+        if len(self.cameras) == 1:
+            T_rig_told[:3, 3] = calibration[self.cameras[0]].T_rig_camera[:3, 3]
+        return T_rig_told
 
 
 BOTH = "both"
@@ -242,8 +253,8 @@ def fly_run(
     for name, pipeline in pipelines.items():
         results[name] += pipeline.flush()
         pipeline.close()
-        T_rig_rectified = rig_rectifier(settings[name], calibration).T_rig_rectified
-        seen = Trajectory(truth.stamps_ns, truth.T_world_rig @ T_rig_rectified)
+        T_rig_told = CONTENDERS[name].told_pose(calibration, settings[name])
+        seen = Trajectory(truth.stamps_ns, truth.T_world_rig @ T_rig_told)
         frame_ms = float(np.median(spent_ms[name])) if spent_ms[name] else 0.0
         yield make_band_cell(run.flight, name, run.seed, results[name], seen, frame_ms)
 
