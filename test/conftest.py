@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -45,3 +49,23 @@ def recording():
 def room() -> TexturedRoom:
     """A small world that is drawn exactly, for tests that need images of a moving stereo rig."""
     return TexturedRoom()
+
+
+@pytest.fixture
+def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The number of a ROS domain on this machine that no other test has meanwhile."""
+    folder = Path(tempfile.gettempdir(), f"thermal_stereo_vo_ros_domains_{os.getuid()}")
+    folder.mkdir(exist_ok=True)
+    # 101 is the last that is free on every system; the measurement of the onboard node takes it.
+    for domain in range(1, 101):
+        with (folder / str(domain)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+            monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+            yield domain
+            return
+    pytest.fail(f"all ROS domains are taken: see {folder}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import select
 import struct
 import threading
@@ -264,14 +263,9 @@ def _told(message):
 
 
 @pytest.fixture
-def start_node(tmp_path, monkeypatch):
+def start_node(ros_domain):
     """``start_node(**parameters)``: the capture node of this process ('__' stands for a dot)."""
     pytest.importorskip("rclpy", reason="rclpy is not installed")
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw") or 0)
-    domain = 1 + 2 * random.SystemRandom().randrange(50) + worker % 2
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     live = []
 
     def start(*arguments, **parameters):

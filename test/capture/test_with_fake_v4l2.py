@@ -38,8 +38,6 @@ def test_passes_under_the_fake(file, fake_library, tmp_path):
         devices.append(f"{tmp_path / name}={tmp_path / name}.control")
     environment = {
         **{k: v for k, v in os.environ.items() if not k.startswith(("PYTEST_", "COV_"))},
-        # Odd and even ROS domains for the two workers.
-        "PYTEST_XDIST_WORKER": os.environ.get("PYTEST_XDIST_WORKER", "gw0"),
         "LD_PRELOAD": str(fake_library),
         "FAKE_V4L2": ";".join(devices),
     }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import random
 import signal
 import subprocess
 import sys
@@ -120,9 +118,8 @@ def write_ramp_bag(
 class Ros:
     """A ROS domain of this test: processes in it, and a node of the test itself."""
 
-    def __init__(self, folder: Path, domain: int, context: Any, executor: Any, node: Any) -> None:
+    def __init__(self, folder: Path, context: Any, executor: Any, node: Any) -> None:
         self._folder = folder
-        self._domain = domain
         self._context = context
         self._executor = executor
         self._processes: list[tuple[str, subprocess.Popen[bytes], Path]] = []
@@ -192,21 +189,15 @@ class Ros:
 
 
 @pytest.fixture
-def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
-    """A domain on this machine only, with a number that other tests hardly have."""
+def ros(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
+    """A node of the test and others as processes, heard on this machine only."""
     rclpy = pytest.importorskip("rclpy", reason="rclpy is not installed")
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.parameter import Parameter
 
-    # Odd and even numbers for two parallel workers; 101 is the last that is free on every system.
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw") or 0)
-    domain = 1 + 2 * random.SystemRandom().randrange(50) + worker % 2
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=domain)
+    rclpy.init(args=[], context=context, domain_id=ros_domain)
     node = rclpy.create_node(
         "listener",
         context=context,
@@ -215,7 +206,7 @@ def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
     )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    ros = Ros(tmp_path, domain, context, executor, node)
+    ros = Ros(tmp_path, context, executor, node)
     try:
         yield ros
     finally:
