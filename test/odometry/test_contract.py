@@ -12,19 +12,46 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 
-from thermal_stereo_vo.core.cameras import Camera
+from thermal_stereo_vo.core.cameras import THERMAL, VISIBLE, Camera
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.frames import CameraView, GapReason, RigFrame
-from thermal_stereo_vo.core.results import OdometryResult, TrackingStatus, TrackStats
+from thermal_stereo_vo.core.results import (
+    OdometryResult,
+    PointCloud,
+    TrackingStatus,
+    TrackStats,
+)
 from thermal_stereo_vo.core.transforms import exp_se3, inverse, log_so3
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
 from thermal_stereo_vo.odometry.interface import Odometry
 
+STEREO, BANDS = ("left", "right"), (VISIBLE, THERMAL)
+
+
+@dataclass(frozen=True)
+class Method:
+    """Settings of a method, and the cameras it sees with.
+
+    One of two bands goes on with either camera alone, and its lengths are in ``unit_m``.
+    """
+
+    settings: tuple[str, ...]
+    roles: tuple[str, str] = STEREO
+    unit_m: float = 1.0
+
+    @property
+    def of_bands(self) -> bool:
+        return self.roles == BANDS
+
+
 METHODS = {
-    "frame to frame": ("method=feature", "window=0"),
-    "window": ("method=feature", "window=7"),
-    "direct": ("method=direct",),
+    "frame to frame": Method(("method=feature", "window=0")),
+    "window": Method(("method=feature", "window=7")),
+    "direct": Method(("method=direct",)),
+    "multispectral": Method(
+        ("method=multispectral", "multispectral.selection.points=250", "threads=1"), BANDS
+    ),
 }
 PERIOD_NS = 100_000_000
 FRAMES = 12
@@ -32,9 +59,47 @@ INITIALISING, TRACKING, DEGRADED, GAP, LOST = TrackingStatus
 MEASURED = (TRACKING, DEGRADED)
 
 
-@pytest.fixture(params=METHODS.values(), ids=METHODS)
-def settings(request) -> tuple[str, ...]:
-    return request.param
+@pytest.fixture(params=METHODS.values(), ids=METHODS, scope="session")
+def settings(request, stereo_flight) -> Method:
+    """A method, with the unit it takes for a steady flight."""
+    method = request.param
+    if not method.of_bands:
+        return method
+    last = run(create(method), [named(frame, method) for frame in stereo_flight.frames])[-1]
+    return replace(method, unit_m=1.0 / error_m(last, np.eye(4)) * way_m(stereo_flight.poses[-1]))
+
+
+class InMetres:
+    """A method whose lengths are in another unit."""
+
+    def __init__(self, odometry: Odometry, unit_m: float) -> None:
+        self._odometry = odometry
+        self._unit_m = unit_m
+        self.warm_up = odometry.warm_up
+
+    def process(self, frame: RigFrame) -> OdometryResult:
+        result = self._odometry.process(frame)
+        if result.T_world_rig is None:
+            return result
+        twist = result.twist * np.repeat([self._unit_m, 1.0], 3)
+        return replace(result, T_world_rig=scaled(result.T_world_rig, self._unit_m), twist=twist)
+
+    def reset(self, T_world_rig: np.ndarray) -> None:
+        self._odometry.reset(scaled(T_world_rig, 1.0 / self._unit_m))
+
+    def local_map(self) -> PointCloud:
+        cloud = self._odometry.local_map()
+        return replace(cloud, xyz=cloud.xyz * np.float32(self._unit_m))
+
+
+def scaled(T: np.ndarray, factor: float) -> np.ndarray:
+    out = T.copy()
+    out[:3, 3] *= factor
+    return out
+
+
+def way_m(T: np.ndarray) -> float:
+    return float(np.linalg.norm(T[:3, 3]))
 
 
 @dataclass(frozen=True)
@@ -46,15 +111,28 @@ class Flight:
 
 
 @pytest.fixture(scope="session")
-def flight(room) -> Flight:
+def stereo_flight(room) -> Flight:
     rng = np.random.default_rng(5)
     poses = room.path(FRAMES)
     frames = tuple(room.rig_frame(i * PERIOD_NS, T, rng) for i, T in enumerate(poses))
     return Flight(frames, poses)
 
 
-def create(settings, *more) -> Odometry:
-    return create_odometry(with_overrides(OdometryConfig(), [*settings, *more]))
+@pytest.fixture
+def flight(settings, stereo_flight) -> Flight:
+    return replace(
+        stereo_flight, frames=tuple(named(frame, settings) for frame in stereo_flight.frames)
+    )
+
+
+def named(frame: RigFrame, method: Method) -> RigFrame:
+    """The same views under the names of a method's cameras."""
+    return replace(frame, views=dict(zip(method.roles, frame.views.values(), strict=True)))
+
+
+def create(method: Method, *more) -> Odometry:
+    odometry = create_odometry(with_overrides(OdometryConfig(), [*method.settings, *more]))
+    return odometry if method.unit_m == 1.0 else InMetres(odometry, method.unit_m)
 
 
 def at(frame: RigFrame, index: int) -> RigFrame:
@@ -99,7 +177,9 @@ def error_m(result, T_true) -> float:
     return float(np.linalg.norm(result.T_world_rig[:3, 3] - T_true[:3, 3]))
 
 
-def without(frame: RigFrame, *roles: str) -> RigFrame:
+def without(frame: RigFrame, *eyes: int) -> RigFrame:
+    """The frame without its first (0) or second (1) camera."""
+    roles = [list(frame.views)[eye] for eye in eyes]
     views = {role: view for role, view in frame.views.items() if role not in roles}
     return replace(frame, views=views, blind=dict.fromkeys(roles, GapReason.FFC))
 
@@ -131,10 +211,17 @@ BAD = {
     "saturated": lambda frame: filled(frame, lambda shape: np.full(shape, 255, np.uint8)),
     "noise": noise,
     "masked": masked,
-    "no left": lambda frame: without(frame, "left"),
-    "no right": lambda frame: without(frame, "right"),
-    "no eye": lambda frame: without(frame, "left", "right"),
+    "no first": lambda frame: without(frame, 0),
+    "no second": lambda frame: without(frame, 1),
+    "no eye": lambda frame: without(frame, 0, 1),
 }
+
+
+def needs_both_eyes(method: Method, fault) -> None:
+    if method.of_bands and fault in (BAD["no first"], BAD["no second"]):
+        pytest.skip("one camera is enough for a map without unit")
+
+
 each_fault = pytest.mark.parametrize("fault", BAD.values(), ids=BAD)
 
 
@@ -160,6 +247,12 @@ def test_a_steady_flight_is_tracked(settings, flight):
 
 def test_covariance_grows_along_the_way_and_is_of_the_size_of_the_error(settings, flight):
     results = run(create(settings), flight.frames)
+    if settings.of_bands:  # of lengths without a unit nothing is known, and that is said
+        assert all(np.trace(r.covariance[:3, :3]) > 1e5 for r in results)
+        turn = [np.trace(r.covariance[3:, 3:]) for r in results]
+        assert turn[0] == 0.0
+        assert 0.0 < min(turn[1:]) <= max(turn[1:]) < 1e-3
+        return
     sigma_m = [np.sqrt(np.trace(r.covariance[:3, :3])) for r in results]
     assert sigma_m[0] == 0.0
     assert sigma_m[-1] > sigma_m[1] > 0.0
@@ -214,7 +307,8 @@ def test_frames_that_are_missing_altogether_are_bridged(settings, flight):
 def test_principal_points_may_differ(settings, flight, shift_px):
     """Some calibrations shift the right image: disparity counts from the principal points."""
     frames = [shifted(frame, shift_px) for frame in flight.frames]
-    assert frames[0].views["left"].camera.cx - frames[0].views["right"].camera.cx == shift_px
+    first, second = (frames[0].views[role] for role in settings.roles)
+    assert first.camera.cx - second.camera.cx == shift_px
     results = run(create(settings), frames)
     assert all(result.status is TRACKING for result in results[1:])
     assert error_m(results[-1], flight.poses[-1]) < 0.12
@@ -224,7 +318,7 @@ def shifted(frame: RigFrame, shift_px: int) -> RigFrame:
     """Columns cut off on the left of one eye and on the right of the other."""
     views = {}
     for role, view in frame.views.items():
-        cut = abs(shift_px) if (role == "right") == (shift_px > 0) else 0
+        cut = abs(shift_px) if (role in ("right", THERMAL)) == (shift_px > 0) else 0
         width = view.camera.width - abs(shift_px)
         image = np.ascontiguousarray(view.image[:, cut : cut + width])
         views[role] = CameraView(
@@ -289,7 +383,8 @@ def test_reset_forgets_everything_and_goes_on_from_the_pose_given(settings, flig
     np.testing.assert_array_equal(given, T_start)
     for a, b in zip(first, moved, strict=True):
         np.testing.assert_allclose(b.T_world_rig, T_start @ a.T_world_rig, atol=1e-6)
-    assert np.linalg.norm(moved[0].covariance) == 0.0
+    known = 3 if settings.of_bands else 0
+    assert np.linalg.norm(moved[0].covariance[known:, known:]) == 0.0
 
 
 def test_two_rigs_of_different_size_in_one_process(settings, flight):
@@ -339,6 +434,7 @@ def test_bad_frames_in_mid_flight_do_no_lasting_harm(settings, flight, fault):
 
 @each_fault
 def test_bad_frames_at_the_start_are_waited_out(settings, flight, fault):
+    needs_both_eyes(settings, fault)
     frames = list(flight.frames[:8])
     frames[0], frames[1] = fault(frames[0]), fault(frames[1])
     results = run(create(settings), frames)
@@ -355,6 +451,7 @@ def test_bad_frames_at_the_start_are_waited_out(settings, flight, fault):
 @each_fault
 def test_nothing_but_bad_frames_ends_in_no_pose_or_the_start(settings, flight, fault):
     """Thirty bad frames never become a motion."""
+    needs_both_eyes(settings, fault)
     results = run(create(settings), [fault(at(flight.frames[i % 12], i)) for i in range(30)])
     for result in results:
         assert result.status in (INITIALISING, GAP, LOST)
@@ -365,9 +462,9 @@ def test_nothing_but_bad_frames_ends_in_no_pose_or_the_start(settings, flight, f
 def test_a_blind_eye_is_named_in_the_reason(settings, flight):
     odometry = create(settings)
     run(odometry, flight.frames[:2])
-    result = odometry.process(without(flight.frames[2], "left", "right"))
+    result = odometry.process(without(flight.frames[2], 0, 1))
     assert result.status is GAP
-    assert "left" in result.reason
+    assert settings.roles[0] in result.reason
     assert "ffc" in result.reason
 
 
@@ -390,7 +487,7 @@ def test_one_wild_frame_moves_nothing(settings, flight):
 
 
 def blind_frames(first: int, last: int, frame: RigFrame):
-    return [without(at(frame, i), "left", "right") for i in range(first, last)]
+    return [without(at(frame, i), 0, 1) for i in range(first, last)]
 
 
 def test_a_gap_is_predicted_with_growing_covariance_and_ends_as_lost(settings, flight):
@@ -405,26 +502,32 @@ def test_a_gap_is_predicted_with_growing_covariance_and_ends_as_lost(settings, f
     before = last
     for i, result in enumerate(gaps):
         assert result.reason
-        assert np.all(np.diag(result.covariance) > np.diag(before.covariance))
-        assert np.all(np.diag(result.twist_covariance) > np.diag(last.twist_covariance))
+        known = slice(3 if settings.of_bands else 0, 6)
+        for now, then in (
+            (result.covariance, before.covariance),
+            (result.twist_covariance, last.twist_covariance),
+        ):
+            assert np.all(np.diag(now)[known] > np.diag(then)[known])
         moved = np.linalg.norm(result.T_world_rig[:3, 3] - before.T_world_rig[:3, 3])
         assert 0.02 < moved < 0.12  # it flew 0.06 m a frame
         assert error_m(result, flight.poses[7] if i == 0 else result.T_world_rig) < 0.12
         before = result
     # 0.5 s at 3 m/s^2 of unknown acceleration.
-    assert 0.3 < np.sqrt(gaps[-1].covariance[0, 0]) < 1.0
+    if not settings.of_bands:
+        assert 0.3 < np.sqrt(gaps[-1].covariance[0, 0]) < 1.0
 
 
 def test_a_gap_that_ends_in_time_is_no_reset(settings, flight):
     odometry = create(settings)
     run(odometry, flight.frames[:4])
-    run(odometry, [without(f, "left", "right") for f in flight.frames[4:8]])
+    run(odometry, [without(f, 0, 1) for f in flight.frames[4:8]])
     results = run(odometry, flight.frames[8:])
     assert results[0].status in MEASURED
     assert results[-1].reset_counter == 0
     assert error_m(results[-1], flight.poses[-1]) < 0.1
     # What was measured again is as sure as before, not as unsure as the guess was.
-    assert np.sqrt(results[-1].covariance[0, 0]) < 0.1
+    at_least = 3 if settings.of_bands else 0
+    assert np.sqrt(results[-1].covariance[at_least, at_least]) < 0.1
 
 
 def test_recovery_elsewhere_is_a_reset_without_a_jump(settings, flight, room):
@@ -436,7 +539,9 @@ def test_recovery_elsewhere_is_a_reset_without_a_jump(settings, flight, room):
     T_elsewhere = exp_se3([0.0, 0.0, 2.0, 0.0, np.pi, 0.0])  # facing the wall behind
     rng = np.random.default_rng(8)
     path = T_elsewhere @ room.path(6)
-    frames = [room.rig_frame((20 + i) * PERIOD_NS, T, rng) for i, T in enumerate(path)]
+    frames = [
+        named(room.rig_frame((20 + i) * PERIOD_NS, T, rng), settings) for i, T in enumerate(path)
+    ]
     results = run(odometry, frames)
     assert results[-1].status in MEASURED
     assert results[-1].reset_counter == 1
@@ -446,10 +551,17 @@ def test_recovery_elsewhere_is_a_reset_without_a_jump(settings, flight, room):
     assert counters == [0] * first + [1] * (6 - first)
     jump = np.linalg.norm(results[first].T_world_rig[:3, 3] - last_known.T_world_rig[:3, 3])
     assert jump < 0.15 * (first + 1)
-    assert np.trace(results[first].covariance) > np.trace(last_known.covariance)
+    steps_m = []
+    known = slice(3 if settings.of_bands else 0, 6)
+    assert np.trace(results[first].covariance[known, known]) > np.trace(
+        last_known.covariance[known, known]
+    )
     for a, b in zip(results[first:-1], results[first + 1 :], strict=True):
-        step = np.linalg.norm((inverse(a.T_world_rig) @ b.T_world_rig)[:3, 3])
-        assert step == pytest.approx(0.063, abs=0.04)
+        steps_m.append(np.linalg.norm((inverse(a.T_world_rig) @ b.T_world_rig)[:3, 3]))
+    # A map that begins anew has a unit of its own.
+    step_m = np.median(steps_m) if settings.of_bands else 0.063
+    assert step_m == pytest.approx(0.063, abs=0.06)
+    np.testing.assert_allclose(steps_m, step_m, atol=0.04)
 
 
 def test_lost_stays_lost_until_something_is_measured(settings, flight):
@@ -510,7 +622,7 @@ def test_no_file_is_opened_and_nothing_is_printed(settings, flight, monkeypatch,
 
     monkeypatch.setattr(builtins, "open", refuse)
     run(odometry, flight.frames[2:5])
-    run(odometry, [BAD["black"](flight.frames[5]), without(flight.frames[6], "left", "right")])
+    run(odometry, [BAD["black"](flight.frames[5]), without(flight.frames[6], 0, 1)])
     run(odometry, flight.frames[7:9])
     odometry.local_map()
     monkeypatch.undo()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.cameras import THERMAL
-from thermal_stereo_vo.core.frames import CameraView, RigFrame
+from thermal_stereo_vo.core.frames import CameraView, GapReason, RigFrame
 from thermal_stereo_vo.odometry.direct.bolometer import camera_twist, without_memory
 from thermal_stereo_vo.odometry.direct.gradient_pyramid import (
     BrightnessUnit,
@@ -23,6 +23,17 @@ _LEAST_USABLE_SHARE = 0.05
 def usable_roles(frame: RigFrame, roles: Sequence[str]) -> tuple[str, ...]:
     """Those of ``roles`` that show something in this frame."""
     return tuple(role for role in roles if role in frame.views and is_usable(frame.views[role]))
+
+
+def blindness(frame: RigFrame, roles: Sequence[str]) -> str:
+    """Why none of ``roles`` can be used, for people."""
+    reasons = [
+        "shows nothing" if role in frame.views else frame.blind.get(role, GapReason.DROPPED).value
+        for role in roles
+    ]
+    return ", ".join(
+        f"{role} camera: {reason}" for role, reason in zip(roles, reasons, strict=True)
+    )
 
 
 def is_usable(view: CameraView) -> bool:

@@ -27,7 +27,8 @@ from thermal_stereo_vo.odometry.direct.photometric_bundle import (
 )
 from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow, PointSet
 from thermal_stereo_vo.odometry.direct.point_selection import select_points
-from thermal_stereo_vo.odometry.direct.rig import Rig
+from thermal_stereo_vo.odometry.direct.rig import Rig, with_arms
+from thermal_stereo_vo.odometry.direct.rig_check import RigCheck, Turn, turn_of_second
 from thermal_stereo_vo.odometry.direct.scale_search import (
     LEAST_KEYFRAMES,
     ScaleSearch,
@@ -41,15 +42,20 @@ _FIRST_KEYFRAMES = 8
 _GUESS_SIGMA = 0.5
 _LEAST_OF_NEWEST = 20
 _START_DISTANCE_M = 4.0
+_RIG_CHECK_EACH = 4
 
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """What an adjustment found, and what it says of the size where that is not known yet."""
+    """What an adjustment found, and what it says of the size where that is not known yet.
+
+    ``turn`` how far it would turn the second camera, where that was looked at.
+    """
 
     solution: PhotometricSolution
     points: PointSet
     scale: WindowScale | None
+    turn: Turn | None
 
 
 class BandMap:
@@ -79,10 +85,15 @@ class BandMap:
             config.photometric.trust_gradient,
         )
         self.is_metric = False
+        self.has_been_followed = False
+        """Whether any frame but the first was found in it."""
         self.scale_sigma: float | None = None
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
         self._search = ScaleSearch(config.scale)
+        self._rig_check = RigCheck(np.radians(config.rig_check_deg))
+        self.rig_fault: str | None = None
+        """What is wrong with the calibration of the rig, as far as can be seen."""
         self._wanted = np.zeros(cameras, np.int64)
         self._keyframes = 0
         self._set_unit(np.log(_START_DISTANCE_M))
@@ -116,6 +127,7 @@ class BandMap:
 
     def note(self, tracked: Tracked, pyramids: Pyramids, late: LateCameras) -> None:
         """Learn from a frame that was found: which points are there, and how far."""
+        self.has_been_followed = True
         self.window.note_tracking(tracked.points, tracked.seen, tracked.fits)
         if self._keyframes < 2:
             return
@@ -298,7 +310,19 @@ class BandMap:
         two = len(self._images.roles) == 2
         if two and not self.is_metric and len(problem.slots) >= LEAST_KEYFRAMES:
             scale = self._search.look(problem, solution, self._log_unit, photometric)
-        return MapUpdate(solution, points, scale)
+        turn = None
+        if two and (
+            scale is not None or (self.is_metric and self._keyframes % _RIG_CHECK_EACH == 0)
+        ):
+            arms = 1.0 if scale is None else np.exp(self._log_unit - scale.log_scale)
+            turn = turn_of_second(
+                replace(problem, rhos=solution.rhos),
+                solution.T_k_w,
+                with_arms(problem.T_rig_camera, arms)[1],
+                photometric.gate,
+                solution.sigma,
+            )
+        return MapUpdate(solution, points, scale, turn)
 
     def take(self, update: MapUpdate) -> float | None:
         """Take an adjustment over; the factor of all lengths when they become metres."""
@@ -311,6 +335,8 @@ class BandMap:
             config.covariance_scale,
             spare,
         )
+        if update.turn is not None:
+            self._check_rig(update.turn)
         if self.is_metric:
             self._shift_lag(update.solution.lag_s)
             self._watch(update.solution)
@@ -321,7 +347,7 @@ class BandMap:
         estimate = self._search.estimate()
         if estimate is not None:
             self.scale_sigma = max(estimate.spread, estimate.sigma)
-        if estimate is None or not self._search.is_known(estimate):
+        if estimate is None or not self._search.is_known(estimate) or self.rig_fault is not None:
             return None
         window.take_camera(update.scale.joint, update.points, 1)
         self._shift_lag(update.scale.joint.lag_s)
@@ -332,6 +358,16 @@ class BandMap:
         self._search = ScaleSearch(config.scale)
         self._set_unit(0.0)
         return factor
+
+    def _check_rig(self, turn: Turn) -> None:
+        self._rig_check.add(turn)
+        off_rad = self._rig_check.off_rad()
+        self.rig_fault = None
+        if off_rad is not None:
+            self.rig_fault = (
+                f"the {self._images.roles[1]} camera does not move as the calibration of the rig "
+                f"says, by about {np.degrees(off_rad):.1f} deg or more: calibrate the rig again"
+            )
 
     def _watch(self, solution: PhotometricSolution) -> None:
         """Admit that the size is wrong where many windows say so."""

@@ -111,6 +111,14 @@ class MultispectralConfig:
         minimum=0.1,
         maximum=1.0,
     )
+    rig_check_deg: float = setting(
+        1.0,
+        "Error of the calibrated rotation between the cameras, as their images tell it, that makes "
+        "the status DEGRADED and keeps the scale unknown.",
+        unit="deg",
+        minimum=0.1,
+        maximum=180.0,
+    )
     covariance_scale: float = setting(
         8.0,
         "Factor on covariances for what the residuals do not show.",

@@ -18,7 +18,7 @@ from thermal_stereo_vo.core.frames import RigFrame
 from thermal_stereo_vo.core.results import OdometryResult, PointCloud, TrackingStatus, TrackStats
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.observers import StageTimer
-from thermal_stereo_vo.odometry.direct.band_images import BandImages, usable_roles
+from thermal_stereo_vo.odometry.direct.band_images import BandImages, blindness, usable_roles
 from thermal_stereo_vo.odometry.direct.band_map import BandMap, MapUpdate
 from thermal_stereo_vo.odometry.direct.frame_tracker import (
     FrameTracker,
@@ -28,7 +28,6 @@ from thermal_stereo_vo.odometry.direct.frame_tracker import (
 )
 from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
 from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
-from thermal_stereo_vo.odometry.feature_based.frame_to_frame import blindness
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
@@ -112,12 +111,19 @@ class MultispectralOdometry:
             self._finish_update(self._map)
         if not usable_roles(frame, _ROLES):
             self._tracked = None
-            result = self._state.unmeasured(TrackStats(), blindness(frame))
+            result = self._state.unmeasured(TrackStats(), blindness(frame, _ROLES))
         elif self._map is None or self._images is None:
             result = self._start(frame)
         else:
             result = self._track(self._map, self._images, frame)
         result = with_stages(result, self._timer.take())
+        if (
+            self._map is not None
+            and self._map.rig_fault
+            and result.status is TrackingStatus.TRACKING
+        ):
+            status, reason = TrackingStatus.DEGRADED, self._map.rig_fault
+            result = replace(result, status=status, reason=reason)
         metric = self._map is not None and self._map.is_metric
         return replace(result, scale_converged=True) if metric else without_unit(result)
 
@@ -133,7 +139,7 @@ class MultispectralOdometry:
         if tracked is None:
             self._shown = np.zeros(len(images.roles), np.bool_)
             result = self._state.unmeasured(TrackStats(), "the image does not fit the keyframes")
-            if result.status is TrackingStatus.LOST:
+            if result.status is TrackingStatus.LOST or not band_map.has_been_followed:
                 self._begin(frame)
             return result
         if not band_map.is_metric and len(here) > len(images.roles):
