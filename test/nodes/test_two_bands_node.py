@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Image, PointCloud2
 
+from thermal_stereo_vo.cli.main import main
 from thermal_stereo_vo.core.calibration_files import save_calibration
 from thermal_stereo_vo.core.cameras import (
     THERMAL,
@@ -29,6 +33,7 @@ from thermal_stereo_vo.nodes import conversions, onboard_node
 from thermal_stereo_vo.nodes.publisher import ResultPublisher
 from thermal_stereo_vo.nodes.stereo_input import ImageInput
 from thermal_stereo_vo.odometry.factory import METHODS
+from thermal_stereo_vo.outputs.bag_writer import BagWriter
 from thermal_stereo_vo.stereo.pairing import PairingConfig
 
 pytestmark = pytest.mark.timeout(900)
@@ -38,7 +43,7 @@ needs_the_method = pytest.mark.skipif(
 )
 ROLES = (VISIBLE, THERMAL)
 QOS = QoSProfile(depth=200)
-PERIOD_NS = 100_000_000
+STAMPS_NS = [5_000_000_000 + i * 100_000_000 for i in range(10)]
 BENT = DistortionModel.RADIAL_TANGENTIAL
 RIG = RigCalibration(
     {
@@ -146,14 +151,8 @@ def test_the_onboard_node_waits_for_the_scale(ros, textured_ramp, tmp_path) -> N
     )
     rng = np.random.default_rng(3)
     for i in range(4):
-        T_world_rig = exp_se3([0.02 * i, 0.0, 0.02 * i, 0.0, 0.004 * i, 0.0])
-        for role, mounted in RIG.cameras.items():
-            image = textured_ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
-            image = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
-            if role == VISIBLE:
-                image = np.clip((image.astype(float) - 5000.0) / 16.0, 0, 255).astype(np.uint8)
-            stamp_ns = 5_000_000_000 + i * PERIOD_NS
-            senders[role].publish(conversions.image_to_msg(image, stamp_ns, f"{role}_optical"))
+        for role, image in ramp_pair(RIG, textured_ramp, i, rng).items():
+            senders[role].publish(conversions.image_to_msg(image, STAMPS_NS[i], f"{role}_optical"))
         ros.spin_until(lambda i=i: len(statuses) == i + 1, f"the answer to pair {i}")
     values = [{v.key: v.value for v in message.status[0].values} for message in statuses]
     assert [value["scale_converged"] for value in values] == ["false"] * 4
@@ -167,6 +166,99 @@ def test_the_onboard_node_waits_for_the_scale(ros, textured_ramp, tmp_path) -> N
         ),
         "the scale in the diagnostics",
     )
+
+
+@needs_the_method
+def test_recorded_bands_reach_the_odometry_through_nodes(ros, textured_ramp, tmp_path) -> None:
+    """As ``replay`` answers them, pair by pair; lenses that bend no rays need no rectification."""
+    straight = {
+        role: replace(mounted, camera=mounted.camera.without_distortion())
+        for role, mounted in RIG.cameras.items()
+    }
+    rig, bag, pairs = replace(RIG, cameras=straight), tmp_path / "bag", 6
+    write_bands(bag, rig, textured_ramp, pairs)
+    rig_file = save_rig(rig, tmp_path)
+    arguments = [
+        "replay", str(bag), "--method", "multispectral", "--calibration", str(rig_file),
+        "--output", str(tmp_path / "run"), "--quiet",
+    ]  # fmt: skip
+    assert main(arguments) == 0
+    expected = recorded_statuses(tmp_path / "run" / "result.mcap")
+    assert len(expected) == pairs
+
+    odometry: list[Odometry] = []
+    statuses: list[DiagnosticArray] = []
+    ros.node.create_subscription(Odometry, "odom", odometry.append, QOS)
+    ros.node.create_subscription(DiagnosticArray, "status", statuses.append, QOS)
+    shown: dict[str, list[Image]] = {role: [] for role in ROLES}
+    for role in ROLES:
+        ros.node.create_subscription(Image, f"{role}/image_raw", shown[role].append, QOS)
+    ros.start(
+        "stereo_odometry_node",
+        {f"{role}/image_rect": f"{role}/image_raw" for role in ROLES},
+        odometry__method="multispectral",
+        rig_calibration=str(rig_file),
+        process_all=True,
+        use_sim_time=True,
+    )
+    ros.spin_until(lambda: ros.node.count_publishers("status") > 0, "the odometry node")
+    replay = ros.start(
+        "replay_node", source=bag, calibration=str(rig_file), rate=0.0, subscribers=2
+    )
+    ros.spin_until(lambda: replay.poll() is not None, "the end of the recording")
+    ros.spin_until(lambda: len(statuses) == pairs, "an answer to every pair")
+    ros.spin_until(lambda: all(len(got) == pairs for got in shown.values()), "all images")
+
+    assert odometry == []
+    assert [conversions.stamp_from_msg(m.header.stamp) for m in statuses] == STAMPS_NS[:pairs]
+    assert [told(message) for message in statuses] == expected
+    assert {values["scale_converged"] for values in expected} == {"false"}
+    assert [values["status"][0] for values in expected] == ["I", *"TTTTT"]
+    for role, encoding in ((VISIBLE, "mono8"), (THERMAL, "mono16")):
+        assert {message.encoding for message in shown[role]} == {encoding}
+        assert {(m.width, m.height) for m in shown[role]} == {rig[role].camera.size}
+
+
+def write_bands(path: Path, rig: RigCalibration, ramp: Any, pairs: int) -> None:
+    """A few steps before the ramp, in grey levels and in counts."""
+    rng = np.random.default_rng(3)
+    with BagWriter(path) as bag:
+        for i, stamp_ns in enumerate(STAMPS_NS[:pairs]):
+            for role, image in ramp_pair(rig, ramp, i, rng).items():
+                bag.write_image(f"/{role}/image_raw", stamp_ns, image, f"{role}_optical")
+
+
+def ramp_pair(
+    rig: RigCalibration, ramp: Any, step: int, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    T_world_rig = exp_se3([0.02 * step, 0.0, 0.02 * step, 0.0, 0.004 * step, 0.0])
+    images = {}
+    for role, mounted in rig.cameras.items():
+        image = ramp.image(mounted.camera, T_world_rig @ mounted.T_rig_camera)
+        image = image + rng.integers(0, 8, image.shape, dtype=np.uint16)
+        if role == VISIBLE:
+            image = np.clip((image.astype(float) - 5000.0) / 16.0, 0, 255).astype(np.uint8)
+        images[role] = image
+    return images
+
+
+def save_rig(rig: RigCalibration, folder: Path) -> Path:
+    save_calibration(rig, folder)
+    return folder / "rig.yaml"
+
+
+def told(message: Any) -> dict[str, str]:
+    """What a status says, but for times."""
+    return {v.key: v.value for v in message.status[0].values if not v.key.endswith("_ms")}
+
+
+def recorded_statuses(path: Path) -> list[dict[str, str]]:
+    with AnyReader([path]) as reader:
+        chosen = [c for c in reader.connections if c.topic == "/status"]
+        return [
+            told(reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages(chosen)
+        ]
 
 
 @needs_the_method

@@ -154,7 +154,7 @@ class OnboardNode(runtime.BaseNode[OnboardNodeConfig]):
         if not self._thread.is_ready:
             return
         self.watch_inputs(self._images.topics)
-        if all(self.count_publishers(topic) > 0 for topic in self._images.topics):
+        if all(self.senders(topic) > 0 for topic in self._images.topics):
             self._images.open()
             self._opening.cancel()
 

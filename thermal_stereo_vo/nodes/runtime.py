@@ -242,6 +242,10 @@ class BaseNode(Node, Generic[Config]):  # type: ignore[misc]
         if self._watch is not None:
             self._watch.saw(topic)
 
+    def senders(self, topic: str) -> int:
+        """Publishers of a topic, where it was remapped to; ``count_publishers`` does not follow."""
+        return int(self.count_publishers(self.resolve_topic_name(topic)))
+
     def health(self) -> DiagnosticFields:
         """Level, message and counters for ``/diagnostics``."""
         raise NotImplementedError

@@ -107,8 +107,8 @@ class StereoOdometryNode(runtime.BaseNode[StereoOdometryNodeConfig]):
         if not self._thread.is_ready:
             return
         self.watch_inputs(self._images.topics)
-        if all(self.count_publishers(topic) > 0 for topic in self._images.topics) and all(
-            eye in self._images.masks or self.count_publishers(f"{eye}/mask") == 0
+        if all(self.senders(topic) > 0 for topic in self._images.topics) and all(
+            eye in self._images.masks or self.senders(f"{eye}/mask") == 0
             for eye in self.config.roles
         ):
             self._images.open()
