@@ -90,6 +90,17 @@ def test_the_file_inside_the_folder_will_do(kind, suffix, tmp_path, rng):
         assert all(np.array_equal(a, b) for a, b in zip(got, images, strict=True))
 
 
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+def test_a_folder_that_is_called_like_a_bag_of_ros_1(kind, tmp_path, rng):
+    with scribe(kind, tmp_path / "flight") as out:
+        images = write_pairs(out, rng)
+    folder = (tmp_path / "flight").rename(tmp_path / "flight.bag")
+    dataset, reason = open_dataset(folder)
+    assert reason.startswith("ROS 2 bag")
+    for frame, image in zip(dataset.frames(), images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
 def test_recorder_that_swaps_and_delays_messages(mcap, rng):
     """Order of recording is not order of exposure: the right eye arrives 100 ms late."""
     with mcap() as out:

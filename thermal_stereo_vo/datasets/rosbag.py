@@ -200,9 +200,10 @@ def open_bag(path: Path, options: SourceOptions) -> tuple[RosbagDataset, str]:
 def bag_files(path: Path) -> list[Path]:
     """What to hand to the reader: the folder itself, or the storage files of one without metadata.
 
-    Raises DatasetError for a folder without any.
+    The reader takes whatever is called ``.bag`` for a file of ROS 1: of such a folder too it gets
+    the files.  Raises DatasetError for a folder without any.
     """
-    if path.is_file() or (path / "metadata.yaml").is_file():
+    if path.is_file() or ((path / "metadata.yaml").is_file() and path.suffix != ".bag"):
         return [path]
     for suffix in (".mcap", ".db3", ".bag"):
         files = sorted(path.glob(f"*{suffix}"))
