@@ -13,12 +13,13 @@ from thermal_stereo_vo.core.transforms import exp_se3, inverse, transform_points
 from thermal_stereo_vo.odometry.feature_based.motion import (
     Motion,
     MotionConfig,
-    count_inliers,
     estimate_motion,
+    inliers_of,
     radial_weights,
     ransac_motion,
-    select_inliers,
     squared_errors,
+    truncated_cost,
+    worse_errors,
 )
 from thermal_stereo_vo.odometry.solvers import DOUBLE_DOGLEG, SOLVERS
 
@@ -175,13 +176,44 @@ def test_inliers_are_counted_by_the_larger_error_of_both_eyes(seed):
     r = observed - CAMERA.project(transform_points(T, points))
     left, right = np.hypot(r[:, 0], r[:, 1]), np.hypot(r[:, 2], r[:, 3])
     expected = (left < 2.0) & (right < 2.0)
-    chosen = select_inliers(T, points, observed, CAMERA.parameters, 4.0)
+    chosen = inliers_of(T, points, observed, CAMERA, replace(PAPER, inlier_medians=0.0))
     np.testing.assert_array_equal(chosen, expected)
-    assert count_inliers(T, points, observed, CAMERA.parameters, 4.0) == expected.sum()
+    errors = worse_errors(T, points, observed, CAMERA.parameters)
+    np.testing.assert_allclose(errors[:-2], np.maximum(left, right)[:-2] ** 2, rtol=1e-6)
+    np.testing.assert_array_equal(errors[-2:], np.inf)
+    fewer = inliers_of(T, points, observed, CAMERA, PAPER)
+    largest = min(2.0, 3.0 * np.sqrt(np.median(errors[expected])))
+    np.testing.assert_array_equal(fewer, np.sqrt(errors) < largest)
+    count, cost = truncated_cost(T, points, observed, CAMERA.parameters, 4.0)
+    assert count == expected.sum()
+    worse = np.where(expected, np.maximum(left, right) ** 2, 4.0)
+    assert cost == pytest.approx(worse.sum(), rel=1e-6)
     assert squared_errors(T, points[0], observed[0], CAMERA.parameters) == pytest.approx(
         (left[0] ** 2, right[0] ** 2), rel=1e-6
     )
     assert not chosen[-2:].any()
+
+
+@pytest.mark.parametrize("step_m", [0.03, 0.1])
+def test_wrong_matches_before_a_wall_turn_no_step_into_a_turn(rng, step_m):
+    """False pairs of both frames seem near and to move like the wall, as if the rig had turned."""
+    T_true = exp_se3([-step_m, 0.0, 0.0, 0.0, 0.0, 0.0])
+    right, low = CAMERA.cx / CAMERA.fx * 8.0, CAMERA.cy / CAMERA.fy * 8.0
+    wall = rng.uniform([-right, -low], [right, low], (150, 2))
+    points = np.column_stack([wall, np.full(150, 8.0)])
+    observed = CAMERA.project(transform_points(T_true, points))
+    flow = (observed - CAMERA.project(points))[0]
+    near = rng.uniform([-0.5, -0.3, 3.0], [0.5, 0.3, 5.0], (6, 3))
+    points, observed = np.vstack([points, near]), np.vstack([observed, CAMERA.project(near) + flow])
+    observed += rng.normal(0.0, 0.1, observed.shape)
+    motion = estimate_motion(
+        points, observed, CAMERA, np.eye(4), "gauss_newton", PAPER, np.random.default_rng(0)
+    )
+    assert motion is not None
+    assert not motion.inliers[150:].any()
+    assert motion.inliers[:150].sum() > 140
+    sigmas = np.sqrt(np.diag(motion.covariance))
+    assert np.all(np.abs(difference(motion.T_current_previous, T_true)) < 4.0 * sigmas)
 
 
 def test_an_error_in_the_right_eye_alone_makes_an_outlier(rng):

@@ -20,9 +20,9 @@ from thermal_stereo_vo.core.transforms import exp_se3, inverse, log_se3, transfo
 from thermal_stereo_vo.odometry.feature_based.motion import (
     MotionConfig,
     estimate_motion,
+    inliers_of,
     radial_weights,
     ransac_motion,
-    select_inliers,
 )
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.solvers import SOLVERS, Solution, SolverConfig, solve_reprojection
@@ -203,7 +203,7 @@ def _problems(
         _, T = ransac_motion(
             points, pixels, parameters, T, samples, inlier_px2, config.ransac_confidence
         )
-        inliers = select_inliers(T, points, pixels, parameters, inlier_px2)
+        inliers = inliers_of(T, points, pixels, camera, config)
         if int(inliers.sum()) < config.min_inliers:
             continue
         chosen_px = np.ascontiguousarray(pixels[inliers])

@@ -18,6 +18,9 @@ from thermal_stereo_vo.odometry.feature_based.stereo_projection import (
 from thermal_stereo_vo.odometry.information import inverse_information
 from thermal_stereo_vo.odometry.solvers import Solution, SolverConfig, solve_reprojection
 
+_SHARPEST_PX = 0.05
+"""Less than this is no error of a feature: images without noise make no outliers."""
+
 
 @dataclass(frozen=True)
 class MotionConfig:
@@ -33,6 +36,13 @@ class MotionConfig:
         unit="px",
         minimum=0.05,
         maximum=50.0,
+    )
+    inlier_medians: float = setting(
+        3.0,
+        "And in medians of the inliers' errors, where that is less: sharp features show what is "
+        "wrong by less than inlier_px. 0 never asks for less (P1).",
+        minimum=0.0,
+        maximum=100.0,
     )
     refinements: int = setting(
         2, "Rounds of solving on the inliers and choosing them anew.", minimum=1, maximum=10
@@ -88,7 +98,7 @@ def estimate_motion(
         config.inlier_px**2, config.ransac_confidence,
     )  # fmt: skip
     solution: Solution | None = None
-    inliers = select_inliers(T, points_m, observed_px, parameters, config.inlier_px**2)
+    inliers = inliers_of(T, points_m, observed_px, camera, config)
     for _ in range(config.refinements):
         if int(inliers.sum()) < config.min_inliers:
             return None
@@ -105,7 +115,7 @@ def estimate_motion(
         )
         T = solution.T
         used = inliers
-        inliers = select_inliers(T, points_m, observed_px, parameters, config.inlier_px**2)
+        inliers = inliers_of(T, points_m, observed_px, camera, config)
     assert solution is not None
     if int(inliers.sum()) < config.min_inliers:
         return None
@@ -117,6 +127,22 @@ def estimate_motion(
     return Motion(
         T, variance_px2 * unit_covariance, inliers, float(np.sqrt(np.mean(residuals**2))), solution
     )
+
+
+def inliers_of(
+    T: NDArray[np.float64],
+    points_m: NDArray[np.float64],
+    observed_px: NDArray[np.float64],
+    camera: StereoCamera,
+    config: MotionConfig,
+) -> NDArray[np.bool_]:
+    """(N,) bool: which points the motion explains, by both rules of the settings."""
+    errors_px2 = worse_errors(T, points_m, observed_px, camera.parameters)
+    inliers: NDArray[np.bool_] = errors_px2 < config.inlier_px**2
+    if config.inlier_medians > 0.0 and np.any(inliers):
+        median_px2 = max(float(np.median(errors_px2[inliers])), _SHARPEST_PX**2)
+        inliers &= errors_px2 < config.inlier_medians**2 * median_px2
+    return inliers
 
 
 def radial_weights(
@@ -139,14 +165,16 @@ def radial_weights(
 def ransac_motion(  # type: ignore[no-untyped-def]
     points, observed, camera, T_start, samples, inlier_px2, confidence
 ):
-    """Best of many 3-point motions by the number of inliers.
+    """Best of many 3-point motions by the truncated squared errors of all points (MSAC).
 
-    ``samples`` (M, 3) indices.  Each sample is solved by Gauss-Newton on its 12 equations from
-    ``T_start``.  Returns the number of inliers and (4, 4) T.
+    Torr and Zisserman 2000.  P1 counts inliers: with points 0.1 px sharp and a threshold of 2 px
+    the motion with most of them is one bent until a wrong match fits, such as a turn before a wall
+    in place of a step to the side.  ``samples`` (M, 3) indices.  Each is solved by Gauss-Newton on
+    its 12 equations from ``T_start``.  Returns the number of inliers and (4, 4) T.
     """
     n = len(points)
     best_T = T_start.copy()
-    best = count_inliers(best_T, points, observed, camera, inlier_px2)
+    best, best_cost = truncated_cost(best_T, points, observed, camera, inlier_px2)
     T, T_new = np.eye(4), np.eye(4)
     A, g, step = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     three_points, three_px, ones = np.empty((3, 3)), np.empty((3, 4)), np.ones(3)
@@ -179,9 +207,9 @@ def ransac_motion(  # type: ignore[no-untyped-def]
                 break
         if not good:
             continue
-        count = count_inliers(T, points, observed, camera, inlier_px2)
-        if count > best:
-            best = count
+        count, cost = truncated_cost(T, points, observed, camera, inlier_px2)
+        if cost < best_cost:
+            best, best_cost = count, cost
             best_T[:] = T
             ratio = (count / n) ** 3
             if ratio >= 1.0:
@@ -210,21 +238,28 @@ def squared_errors(T, point, pixel, camera):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def count_inliers(T, points, observed, camera, inlier_px2):  # type: ignore[no-untyped-def]
-    """How many points reproject within the threshold in both eyes."""
-    count = 0
+def truncated_cost(T, points, observed, camera, inlier_px2):  # type: ignore[no-untyped-def]
+    """How many points reproject within the threshold in both eyes, and what all cost together.
+
+    A point costs the larger squared error (px^2) of its two eyes, at most the threshold.
+    """
+    count, cost = 0, 0.0
     for i in range(len(points)):
         left, right = squared_errors(T, points[i], observed[i], camera)
         if left < inlier_px2 and right < inlier_px2:
             count += 1
-    return count
+            cost += max(left, right)
+        else:
+            cost += inlier_px2
+    return count, cost
 
 
 @njit(cache=True, nogil=True)
-def select_inliers(T, points, observed, camera, inlier_px2):  # type: ignore[no-untyped-def]
-    """(N,) bool: which points reproject within the threshold in both eyes."""
-    chosen = np.empty(len(points), np.bool_)
+def worse_errors(T, points, observed, camera):  # type: ignore[no-untyped-def]
+    """(N,) the larger squared reprojection error (px^2) of both eyes; infinite behind them."""
+    errors = np.empty(len(points))
     for i in range(len(points)):
         left, right = squared_errors(T, points[i], observed[i], camera)
-        chosen[i] = left < inlier_px2 and right < inlier_px2
-    return chosen
+        # NaN is larger than any threshold, whichever eye it is in.
+        errors[i] = max(left, right) if left >= 0.0 and right >= 0.0 else np.inf
+    return errors
