@@ -21,10 +21,15 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     COMPONENTS,
     cauchy_cost,
     cauchy_weight,
+    counts,
     point_in_camera,
+    pose_rows,
     relative_transform,
     residual_row,
-    uses_component,
+)
+from thermal_stereo_vo.odometry.feature_based.point_scatter import (
+    clustered_covariance,
+    point_pulls,
 )
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.information import inverse_information
@@ -97,13 +102,18 @@ def adjust_bundle(
     unit_covariance = inverse_information(A)
     if unit_covariance is None:
         return None
+    pulls = np.zeros_like(W)
+    steepness = point_pulls(T, rhos, *fixed, 2.385 * sigma_px, pulls)
+    covariance = clustered_covariance(unit_covariance, pulls, steepness)
+    if covariance is None:
+        covariance = sigma_px**2 * unit_covariance
     D, d = np.zeros((3, 3)), np.zeros(3)
     turn_information(T, rhos, *fixed, 2.385 * sigma_px, unit_covariance, g, W, h_rho, b_rho, D, d)
     return BundleSolution(
         T,
         rhos,
         h_rho,
-        sigma_px**2 * unit_covariance,
+        covariance,
         residuals,
         sigma_px,
         done,
@@ -147,33 +157,6 @@ def window_residuals_reference(
     out[at_home] = np.where(np.arange(COMPONENTS) == 2, out[at_home], np.nan)
     out[problem.weights <= 0.0] = np.nan
     return out
-
-
-@njit(cache=True, nogil=True)
-def counts(component, camera_index, host, observation):  # type: ignore[no-untyped-def]
-    """Whether a component enters: in its host a point is the patch, only its disparity is open."""
-    if camera_index == host and component != 2:
-        return False
-    return uses_component(component, observation)
-
-
-@njit(cache=True, nogil=True)
-def pose_rows(row, R, p, b, rho, Jc, Jh):  # type: ignore[no-untyped-def]
-    """Write the (6,) derivatives of a pixel by the poses of the camera and of the point's host.
-
-    ``row`` (3,) is that by the point ``p`` = R b + rho t in the camera.
-    """
-    Jc[0], Jc[1], Jc[2] = rho * row[0], rho * row[1], rho * row[2]
-    Jc[3] = p[1] * row[2] - p[2] * row[1]
-    Jc[4] = p[2] * row[0] - p[0] * row[2]
-    Jc[5] = p[0] * row[1] - p[1] * row[0]
-    x = row[0] * R[0, 0] + row[1] * R[1, 0] + row[2] * R[2, 0]
-    y = row[0] * R[0, 1] + row[1] * R[1, 1] + row[2] * R[2, 1]
-    z = row[0] * R[0, 2] + row[1] * R[1, 2] + row[2] * R[2, 2]
-    Jh[0], Jh[1], Jh[2] = -rho * x, -rho * y, -rho * z
-    Jh[3] = -(b[1] * z - b[2] * y)
-    Jh[4] = -(b[2] * x - b[0] * z)
-    Jh[5] = -(b[0] * y - b[1] * x)
 
 
 @njit(cache=True, nogil=True)
