@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermal_stereo_vo.core.transforms import exp_se3, exp_so3, inverse, log_so3, make_transform
+from thermal_stereo_vo.evaluation.consistency import nees, nees_band
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 STEPS = 12
@@ -112,3 +113,28 @@ def test_the_start_is_a_copy():
     T[0, 3] = 5.0
     assert pose.T_world_rig[0, 3] == 0.0
     np.testing.assert_array_equal(PoseEstimate.start().T_world_rig, np.eye(4))
+
+
+def test_nees_of_a_long_way_with_turns_is_that_of_a_true_covariance():
+    """500 m with turns to both sides: axes and order of the noise show only on long ways."""
+    rng = np.random.default_rng(7)
+    C_step = np.diag([4e-3, 3e-3, 6e-3, 2e-4, 3e-4, 4e-4]) ** 2
+    C_step[0, 4] = C_step[4, 0] = -0.8 * 4e-3 * 3e-4
+    C_step[1, 3] = C_step[3, 1] = 0.7 * 3e-3 * 2e-4
+    root = np.linalg.cholesky(C_step)
+    turns = np.repeat([0.0, 0.05, 0.0, 0.05, 0.0, -0.05, 0.0, 0.05, 0.0, 0.05], 50)
+    steps = [inverse(exp_se3([0.02, -0.1, 1.0, 0.002, turn, -0.001])) for turn in turns]
+    flights, estimated, covariances = 40, [], []
+    for _ in range(flights):
+        pose = PoseEstimate.start()
+        for T_after_before in steps:
+            # What is measured is the truth with noise, so that the truth is the same every time.
+            pose = pose.moved(exp_se3(root @ rng.normal(size=6)) @ T_after_before, C_step)
+        estimated.append(pose.T_world_rig)
+        covariances.append(pose.covariance)
+    T_true = np.eye(4)
+    for T_after_before in steps:
+        T_true = T_true @ inverse(T_after_before)
+    truth = np.tile(T_true, (flights, 1, 1))
+    low, high = nees_band(flights, confidence=0.999)
+    assert low < np.mean(nees(truth, np.array(estimated), np.array(covariances))) < high

@@ -104,7 +104,7 @@ def adjust_bundle(
         return None
     pulls = np.zeros_like(W)
     steepness = point_pulls(T, rhos, *fixed, 2.385 * sigma_px, pulls)
-    covariance = clustered_covariance(unit_covariance, pulls, steepness)
+    covariance = clustered_covariance(A, unit_covariance, pulls, steepness, sigma_floor_px)
     if covariance is None:
         covariance = sigma_px**2 * unit_covariance
     D, d = np.zeros((3, 3)), np.zeros(3)

@@ -31,21 +31,58 @@ LEAST_STEEPNESS = 0.3
 
 
 def clustered_covariance(
-    unit_covariance: NDArray[np.float64], pulls: NDArray[np.float64], steepness: float
+    information: NDArray[np.float64],
+    unit_covariance: NDArray[np.float64],
+    pulls: NDArray[np.float64],
+    steepness: float,
+    sigma_floor_px: float,
 ) -> NDArray[np.float64] | None:
     """(F, F) covariance of the poses by the scatter of the (N, F) ``pulls`` of the points.
 
-    ``unit_covariance`` (F, F) is the inverse of the reduced normal equations, ``steepness`` as
-    ``point_pulls`` returns it.  None when too few points pull to tell.
+    ``information`` (F, F) are the reduced normal equations, ``unit_covariance`` their inverse,
+    ``steepness`` as ``point_pulls`` returns it.  None when too few points pull to tell, or less
+    than noise of ``sigma_floor_px`` would make them.
     """
-    pulling = int(np.count_nonzero(np.any(pulls != 0.0, axis=1)))
-    free = len(unit_covariance)
+    scattered = np.zeros_like(unit_covariance)
+    pulling, free = scatter_steps(unit_covariance, pulls, scattered), len(unit_covariance)
     if pulling < LEAST_POINTS * free or not steepness > LEAST_STEEPNESS:
         return None
-    steps = pulls @ unit_covariance / steepness
     # What the points have determined themselves they do not show.
-    covariance: NDArray[np.float64] = steps.T @ steps * (pulling / (pulling - free))
-    return covariance
+    scattered *= pulling / (pulling - free) / steepness**2
+    # Of many directions a few points always hardly tell one: as many more of them as there are
+    # unknowns are taken to be as the equations say, at the noise that the scatter shows.
+    noise = float(np.sum(information * scattered)) / free
+    if noise < sigma_floor_px**2:
+        return None
+    share = free / (free + pulling)
+    covariance: NDArray[np.float64] = (1.0 - share) * scattered + share * noise * unit_covariance
+    return 0.5 * (covariance + covariance.T)
+
+
+@njit(cache=True, nogil=True)
+def scatter_steps(unit_covariance, pulls, scattered):  # type: ignore[no-untyped-def]
+    """Write the sum over the points of s s^T, s = ``unit_covariance`` pull; returns how many pull.
+
+    A kernel, since matrix products of a library may differ in the last bit with its threads.
+    """
+    free = len(unit_covariance)
+    step = np.empty(free)
+    pulling = 0
+    scattered[:] = 0.0
+    for n in range(len(pulls)):
+        pull = pulls[n]
+        if not np.any(pull != 0.0):
+            continue
+        pulling += 1
+        for i in range(free):
+            total = 0.0
+            for m in range(free):
+                total += unit_covariance[i, m] * pull[m]
+            step[i] = total
+        for i in range(free):
+            for m in range(free):
+                scattered[i, m] += step[i] * step[m]
+    return pulling
 
 
 @njit(cache=True, nogil=True)
