@@ -85,6 +85,27 @@ def test_the_covariance_grows_with_keyframes_and_covers_the_error(flight):
     assert 0.05 < error_m(results[-1], poses[-1]) / sigmas[-1] < 5.0
 
 
+@pytest.mark.parametrize(
+    ("settings", "scale_sigma"),
+    [
+        ((), 0.05),
+        (("windowed.extrinsics.scale_share=1",), 0.2),
+        (("windowed.extrinsics.refine=false",), 0.2),
+    ],
+    ids=("yaw refined", "all is left", "yaw not refined"),
+)
+def test_less_of_the_scale_is_unsure_where_the_yaw_is_refined(flight, settings, scale_sigma):
+    """Against the same flight with a scale that is certain: the way so far times the rest."""
+    _, frames = flight
+    certain = [s for s in settings if "share" not in s] + ["status.scale_sigma=0"]
+    _, sure = fly(frames, *certain)
+    _, unsure = fly(frames, *settings, "status.scale_sigma=0.2")
+    way_m = unsure[-1].T_world_rig[:3, 3] - unsure[0].T_world_rig[:3, 3]
+    more = unsure[-1].covariance - sure[-1].covariance
+    np.testing.assert_allclose(more[:3, :3], scale_sigma**2 * np.outer(way_m, way_m), atol=1e-6)
+    np.testing.assert_allclose(more[3:], 0.0, atol=1e-9)
+
+
 def test_turning_on_the_spot_makes_keyframes_but_no_way(room):
     rng = np.random.default_rng(3)
     poses = room.path(10, (0.0, 0.0, 0.0, 0.0, 0.05, 0.0))

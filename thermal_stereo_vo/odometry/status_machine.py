@@ -24,10 +24,9 @@ class StatusConfig:
         maximum=10.0,
     )
     scale_sigma: float = setting(
-        0.0005,
-        "Relative uncertainty of all distances by what calibration leaves of baseline and focal "
-        "length; no residual shows it, so it is added to the covariance of the position.  A board "
-        "leaves 0.05 %; say more for a calibration that is less sure.",
+        0.002,
+        "Relative uncertainty of all distances by what calibration leaves (baseline, focal length, "
+        "relative yaw); no residual shows it, so it is added to the covariance of the position.",
         minimum=0.0,
         maximum=0.2,
     )

@@ -46,6 +46,13 @@ class ExtrinsicsConfig:
         minimum=0.001,
         maximum=20.0,
     )
+    scale_share: float = setting(
+        0.25,
+        "Share of odometry.status.scale_sigma that remains where the rotation is refined: baseline "
+        "and focal length, which a board tells to 0.05 %, without the yaw.",
+        minimum=0.0,
+        maximum=1.0,
+    )
 
 
 class ExtrinsicsRefiner:

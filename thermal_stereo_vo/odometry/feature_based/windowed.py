@@ -164,6 +164,9 @@ class WindowedOdometry:
         self._tracker = PatchTracker(config.tracking, self._worker, seed)
         self._matcher = FeatureMatcher(features, solver, self._worker, seed)
         self._timer = StageTimer()
+        if config.extrinsics.refine:
+            left_over = config.extrinsics.scale_share * status.scale_sigma
+            status = replace(status, scale_sigma=left_over)
         self._state = OdometryState(status, np.eye(4), gyro)
         self._forget()
 
