@@ -88,7 +88,7 @@ def test_the_covariance_grows_with_keyframes_and_covers_the_error(flight):
 @pytest.mark.parametrize(
     ("settings", "scale_sigma"),
     [
-        ((), 0.05),
+        ((), 0.03),
         (("windowed.extrinsics.scale_share=1",), 0.2),
         (("windowed.extrinsics.refine=false",), 0.2),
     ],

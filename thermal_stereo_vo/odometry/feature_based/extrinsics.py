@@ -47,9 +47,9 @@ class ExtrinsicsConfig:
         maximum=20.0,
     )
     scale_share: float = setting(
-        0.25,
+        0.15,
         "Share of odometry.status.scale_sigma that remains where the rotation is refined: baseline "
-        "and focal length, which a board tells to 0.05 %, without the yaw.",
+        "and focal length, which a board tells to 0.03 %, without the yaw.",
         minimum=0.0,
         maximum=1.0,
     )
