@@ -13,7 +13,12 @@ from thermal_stereo_vo.odometry.direct.gradient_pyramid import (
     gradients_reference,
 )
 from thermal_stereo_vo.odometry.direct.photometric_window import invert_all
-from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig, select_points
+from thermal_stereo_vo.odometry.direct.point_selection import (
+    SelectionConfig,
+    clear_below,
+    fill_steepness,
+    select_points,
+)
 from thermal_stereo_vo.odometry.direct.static_stereo import find_disparities
 
 
@@ -90,3 +95,17 @@ def test_disparities_are_those_of_the_room(room, rng):
 def test_many_motions_are_inverted_at_once(rng):
     T = np.stack([exp_se3(rng.normal(size=6)) for _ in range(6)]).reshape(2, 3, 4, 4)
     np.testing.assert_allclose(invert_all(T) @ T, np.broadcast_to(np.eye(4), T.shape), atol=1e-12)
+
+
+def test_steepness_and_what_is_too_flat_are_those_of_the_plain_form(rng):
+    image = rng.normal(size=(50, 70, 3)).astype(np.float32)
+    steep = np.empty((50, 70), np.float32)
+    fill_steepness(image, steep)
+    np.testing.assert_allclose(steep, np.hypot(image[..., 1], image[..., 2]), rtol=1e-6)
+    least = rng.uniform(0.5, 2.0, (3, 4)).astype(np.float32)
+    wide = np.repeat(np.repeat(least, 16, axis=0), 16, axis=1)
+    wide = np.pad(wide, ((0, 2), (0, 6)), mode="edge")
+    expected = np.where(steep < wide, 0.0, steep)
+    clear_below(steep, least, 16)
+    np.testing.assert_array_equal(steep, expected)
+    assert 0.1 < np.mean(steep == 0.0) < 0.9

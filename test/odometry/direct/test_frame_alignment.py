@@ -57,8 +57,8 @@ def arguments(scene, free_depth, bands=False, bolometers=None):
     bolometers = np.zeros(2, np.bool_) if bolometers is None else bolometers
     T_camera_rig = np.stack([inverse(T) for T in T_RIG_CAMERA])
     return (
-        scene["images"], np.ones(2, bool), CAMERAS, T_camera_rig, 1.0, scene["T_host_world"],
-        scene["host_light"], np.tile(T_RIG_CAMERA, (2, 1, 1, 1)),
+        tuple(i[None] for i in scene["images"]), np.ones(2, bool), CAMERAS, T_camera_rig, 1.0,
+        scene["T_host_world"], scene["host_light"], np.tile(T_RIG_CAMERA, (2, 1, 1, 1)),
         scene["hosts"], scene["host_cameras"], scene["bearings"],
         scene["rhos"], scene["information"], 1 / CAMERAS[:, :2], scene["patches"], scene["trusts"],
         bands, bolometers, HUBER, GATE, free_depth,

@@ -60,6 +60,8 @@ class BandImages:
         self._units = units
         self._smoothing_px = smoothing_px
         self._lag_s = lag_s
+        self._room: list[GradientPyramid | None] = [None] * len(roles)
+        self._sharp = [np.empty(shape, np.float32) for shape in rig.shapes]
 
     @classmethod
     def of(
@@ -82,7 +84,7 @@ class BandImages:
         rho: float,
         rig: Rig,
     ) -> GradientPyramid | None:
-        """Pyramid of one camera; None where it is blind.
+        """Pyramid of one camera, until the next one of it is asked for; None where it is blind.
 
         With the rig's ``velocity`` (6,) per second images of bolometers lose their smear.  It is in
         one unit with the inverse depth ``rho`` of the scene and the lever arms of ``rig``.
@@ -93,7 +95,11 @@ class BandImages:
         image = view.image
         if self.rig.bolometers[camera] and velocity is not None and self._lag_s > 0.0:
             twist = camera_twist(velocity, rig.T_camera_rig[camera])
-            sharp = np.empty(image.shape, np.float32)
+            sharp = self._sharp[camera]
             without_memory(image, self._lag_s, twist, rho, self.rig.cameras[camera], sharp)
             image = sharp
-        return build_gradient_pyramid(image, self._smoothing_px, self._units[camera])
+        room = build_gradient_pyramid(
+            image, self._smoothing_px, self._units[camera], self._room[camera]
+        )
+        self._room[camera] = room
+        return room

@@ -204,7 +204,12 @@ class BandMap:
             if pyramids[camera] is not None
         ]
         if window.poses.is_full:
-            window.drop_keyframe(self._dispensable(T))
+            # Before the size is known depths may be far off, and what is linearised stays so.
+            alone = len(self._images.roles) == 1 and self._keyframes > 2 * _FIRST_KEYFRAMES
+            if self.is_metric or alone:
+                window.marginalise(self._dispensable(T), self._config.photometric)
+            else:
+                window.drop_keyframe(self._dispensable(T))
         slot = window.add_keyframe(pose, covariance, pyramids, brightness)
         if late is not None:
             window.twists[slot] = late.lately(T)
@@ -253,7 +258,7 @@ class BandMap:
             known = known.take(np.flatnonzero(known.host_cameras == 0))
         rhos = None
         if len(known) > 0:
-            T_rig_host = T @ window.T_world_host[known.hosts, known.host_cameras]
+            T_rig_host = (T @ window.T_world_host)[known.hosts, known.host_cameras]
             rhos = depths_around(window.rig, camera, T_rig_host, known.bearings, known.rhos, pixels)
         if rhos is None and self._keyframes > 0:
             rhos = np.full(len(pixels), self.rho)
@@ -378,6 +383,7 @@ class BandMap:
         self.scale_sigma = max(estimate.spread, self._config.scale.hold)
         if self._search.contradicts(estimate):
             self.is_metric = False
+            self.window.forget_prior()
             self._search = ScaleSearch(self._config.scale)
 
     def _set_unit(self, log_unit: float) -> None:

@@ -33,14 +33,29 @@ def without_memory(image, tau_s, twist, rho, camera, out):  # type: ignore[no-un
     a, b, c = rho * twist[0], rho * twist[1], rho * twist[2]
     p, q, s = twist[3], twist[4], twist[5]
     half = 0.5 * tau_s
+    # Flow is a polynomial of the column: at + by * x + of * x^2.  Single precision is that of out.
+    x = ((np.arange(width) - cx) / fx).astype(np.float32)
     for i in range(height):
         y = (i - cy) / fy
-        up, down = max(i - 1, 0), min(i + 1, height - 1)
-        for j in range(width):
-            x = (j - cx) / fx
+        x0, x1, x2 = (
+            np.float32(half * fx * (y * s - a - q)),
+            np.float32(half * fx * (c + y * p)),
+            (np.float32(-half * fx * q)),
+        )
+        y0, y1 = (
+            np.float32(half * fy * (y * c - b + (1.0 + y * y) * p)),
+            np.float32(half * fy * (-y * q - s)),
+        )
+        row, up, down = image[i], image[max(i - 1, 0)], image[min(i + 1, height - 1)]
+        to = out[i]
+        for j in range(1, width - 1):
+            dx = np.float32(row[j + 1]) - np.float32(row[j - 1])
+            dy = np.float32(down[j]) - np.float32(up[j])
+            flow_x, flow_y = x0 + x[j] * (x1 + x[j] * x2), y0 + x[j] * y1
+            to[j] = np.float32(row[j]) - dx * flow_x - dy * flow_y
+        for j in (0, width - 1):
             left, right = max(j - 1, 0), min(j + 1, width - 1)
-            flow_x = fx * (x * c - a + x * y * p - (1.0 + x * x) * q + y * s)
-            flow_y = fy * (y * c - b + (1.0 + y * y) * p - x * y * q - x * s)
-            dx = np.float64(image[i, right]) - np.float64(image[i, left])
-            dy = np.float64(image[down, j]) - np.float64(image[up, j])
-            out[i, j] = image[i, j] - half * (dx * flow_x + dy * flow_y)
+            dx = np.float32(row[right]) - np.float32(row[left])
+            dy = np.float32(down[j]) - np.float32(up[j])
+            flow_x, flow_y = x0 + x[j] * (x1 + x[j] * x2), y0 + x[j] * y1
+            to[j] = np.float32(row[j]) - dx * flow_x - dy * flow_y

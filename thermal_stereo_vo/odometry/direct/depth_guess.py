@@ -40,7 +40,9 @@ def depths_around(
     at, there = at[inside], rhos[inside] / depth_rho[inside]
     if len(at) < _NEIGHBOURS:
         return None
-    squares = np.sum((pixels[:, None, :] - at[None]) ** 2, axis=2) + _NEIGHBOURS**2
+    squares = np.subtract.outer(pixels[:, 0], at[:, 0]) ** 2
+    squares += np.subtract.outer(pixels[:, 1], at[:, 1]) ** 2
+    squares += _NEIGHBOURS**2
     near = np.argpartition(squares, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
     weights = 1.0 / np.take_along_axis(squares, near, axis=1)
     mean = np.sum(weights * there[near], axis=1) / np.sum(weights, axis=1)

@@ -9,14 +9,30 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import retract, solve_positive
-from thermal_stereo_vo.odometry.direct.photometric import (
-    COLUMNS,
-    PIXELS,
-    RHO,
-    huber_weight,
-    linearise_patch,
-    patch_energy,
+from thermal_stereo_vo.odometry.direct.patch_sums import (
+    AA,
+    AB,
+    AR,
+    BB,
+    BR,
+    BY_RHO,
+    SLOPES,
+    SUMS,
+    XA,
+    XB,
+    XR,
+    XX,
+    XY,
+    YA,
+    YB,
+    YR,
+    YY,
+    compare_patch,
+    gather_patch,
+    middle_slopes,
+    view_patch,
 )
+from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 
 POSE = 6
 MIN_DAMPING, MAX_DAMPING = 1e-6, 1e5
@@ -47,7 +63,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Normal equations of pose and brightness of one frame at one pyramid level.
 
-    ``images`` one (H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
+    ``images`` one (1, H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
     (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (slots, C, 4, 4) rig from
     camera; points sorted by host.  With ``bands`` a point is only looked for with the camera that
     hosts it; in the images of ``bolometers`` (C,) residuals count as they weigh.  With
@@ -58,13 +74,13 @@ def linearise_frame(  # type: ignore[no-untyped-def]
     """
     C = len(use)
     size = POSE + 2 * C
-    r, J = np.empty(PIXELS), np.empty((PIXELS, COLUMNS))
+    view, r, weights = np.empty((3, PIXELS)), np.empty(PIXELS), np.empty(PIXELS)
+    sums, G, tx, ty = np.empty(SUMS), np.zeros((2, SLOPES)), np.empty(POSE), np.empty(POSE)
     w = np.empty(size)
-    arms = np.zeros((2, 3))  # the scale is not asked for here
-    T, T_world_host = np.empty((4, 4)), np.empty((4, 4))
-    local = np.empty(8, np.int64)
-    for i in range(POSE):
-        local[i] = i
+    patch, trusts_here = np.empty(PIXELS), np.empty(PIXELS)
+    arms = np.zeros((C, 2, 3))  # the scale is not asked for here
+    T, T_world_host = np.empty((1, 4, 4)), np.empty((4, 4))
+    T_camera_host, gains = np.empty((C, 4, 4)), np.empty(C)
     A[:] = 0.0
     g[:] = 0.0
     total, seen = 0.0, 0
@@ -75,28 +91,40 @@ def linearise_frame(  # type: ignore[no-untyped-def]
         if h != last_host or hc != last_camera:
             last_host, last_camera = h, hc
             invert(T_host_world[h], T_world_host)
-            T[:] = T_rig_world @ T_world_host @ T_rig_host[h, hc]
+            T[0] = T_rig_world @ T_world_host @ T_rig_host[h, hc]
+            for c in range(C):
+                T_camera_host[c] = T_camera_rig[c] @ T[0]
+                gains[c] = np.exp(brightness[c, 0] - host_brightness[h, hc, 0])
+        b_host = host_brightness[h, hc, 1]
         h_rho, b_rho = rho_information[n], 0.0
-        w[:] = 0.0
+        for i in range(size):
+            w[i] = 0.0
         touched = False
         for c in range(C):
             energies[c, n] = np.nan
             if not use[c] or (bands and c != hc):
                 continue
-            gain = np.exp(brightness[c, 0] - host_brightness[h, hc, 0])
-            if not linearise_patch(
-                images[c], cameras[c], scale, T, T_camera_rig[c], arms, bearings[n], rhos[n],
-                steps[hc], patches[n], gain, host_brightness[h, hc, 1], brightness[c, 1], r, J,
+            camera = (
+                cameras[c, 0] * scale, cameras[c, 1] * scale, cameras[c, 2] * scale,
+                cameras[c, 3] * scale,
+            )  # fmt: skip
+            if not view_patch(
+                images[c], 0, camera, T_camera_host, c, bearings[n, 0], bearings[n, 1], rhos[n],
+                steps[hc, 0], steps[hc, 1], view,
             ):  # fmt: skip
                 continue
             trust = 0.0
             for k in range(PIXELS):
+                patch[k], trusts_here[k] = patches[n, k], trusts[n, k]
                 trust += trusts[n, k]
             if not trust > 0.0:
                 continue
             if bolometers[c]:
                 trust = PIXELS
-            energy = patch_energy(r, trusts[n], huber)
+            gain = gains[c]
+            energy = compare_patch(
+                view, patch, trusts_here, gain, b_host, brightness[c, 1], huber, r, weights
+            )
             energies[c, n] = energy / trust
             seen += 1
             if energy > limit * trust:
@@ -104,19 +132,31 @@ def linearise_frame(  # type: ignore[no-untyped-def]
                 continue
             total += energy
             touched = True
-            local[6] = POSE + 2 * c
-            local[7] = POSE + 2 * c + 1
-            for k in range(PIXELS):
-                weight = trusts[n, k] * huber_weight(r[k], huber)
-                j_rho = J[k, RHO]
-                h_rho += weight * j_rho * j_rho
-                b_rho -= weight * j_rho * r[k]
-                for i in range(8):
-                    wj = weight * J[k, i]
-                    g[local[i]] -= wj * r[k]
-                    w[local[i]] += wj * j_rho
-                    for m in range(i, 8):
-                        A[local[i], local[m]] += wj * J[k, m]
+            gather_patch(view, patch, gain, b_host, r, weights, sums)
+            middle_slopes(T, 0, T_camera_rig, c, arms, bearings[n, 0], bearings[n, 1], rhos[n], G)
+            x_rho, y_rho = G[0, BY_RHO], G[1, BY_RHO]
+            tx_rho = sums[XX] * x_rho + sums[XY] * y_rho
+            ty_rho = sums[XY] * x_rho + sums[YY] * y_rho
+            h_rho += x_rho * tx_rho + y_rho * ty_rho
+            b_rho -= x_rho * sums[XR] + y_rho * sums[YR]
+            a = POSE + 2 * c
+            for i in range(POSE):
+                x, y = G[0, i], G[1, i]
+                tx[i] = sums[XX] * x + sums[XY] * y
+                ty[i] = sums[XY] * x + sums[YY] * y
+                g[i] -= x * sums[XR] + y * sums[YR]
+                w[i] += x * tx_rho + y * ty_rho
+                A[i, a] += x * sums[XA] + y * sums[YA]
+                A[i, a + 1] += x * sums[XB] + y * sums[YB]
+                for m in range(i + 1):
+                    A[m, i] += G[0, m] * tx[i] + G[1, m] * ty[i]
+            g[a] -= sums[AR]
+            g[a + 1] -= sums[BR]
+            w[a] += x_rho * sums[XA] + y_rho * sums[YA]
+            w[a + 1] += x_rho * sums[XB] + y_rho * sums[YB]
+            A[a, a] += sums[AA]
+            A[a, a + 1] += sums[AB]
+            A[a + 1, a + 1] += sums[BB]
         if free_depth and touched and h_rho > 0.0:
             for i in range(size):
                 factor = w[i] / h_rho

@@ -76,6 +76,18 @@ class FrameTracker:
         T, light = attempt.descend(T_start, brightness, top, 0)
         return attempt.check(T, light)
 
+    def approach(
+        self,
+        window: PhotometricWindow,
+        pyramids: Pyramids,
+        T_start: NDArray[np.float64],
+        brightness: NDArray[np.float64],
+        late: LateCameras | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pose (4, 4) and brightness (C, 2) by the coarse levels alone, not checked."""
+        attempt = _Attempt(self._config, window, window.points(), pyramids, late)
+        return attempt.descend(T_start, brightness, LEVELS - 1, 1)
+
     def search(
         self,
         window: PhotometricWindow,
@@ -191,7 +203,7 @@ class _Attempt:
 
     def _align(self, T: NDArray[np.float64], light: NDArray[np.float64], level: int) -> None:
         config, window, points = self._config, self._window, self._points
-        images = tuple(ABSENT if p is None else p[level] for p in self._pyramids)
+        images = tuple(ABSENT[None] if p is None else p[level][None] for p in self._pyramids)
         T_camera_rig = window.rig.T_camera_rig
         if self._late is not None:
             T_camera_rig = T_camera_rig @ self._late.T_then_now(T)

@@ -47,18 +47,24 @@ class BrightnessUnit:
 
 
 def build_gradient_pyramid(
-    image: NDArray[np.generic], smoothing_px: float, unit: BrightnessUnit
+    image: NDArray[np.generic],
+    smoothing_px: float,
+    unit: BrightnessUnit,
+    room: GradientPyramid | None = None,
 ) -> GradientPyramid:
-    """Pyramid of an (H, W) image of any depth, in brightness ``unit``."""
-    levels = []
-    for level in build_pyramid(image, smoothing_px):
-        out = np.empty((*level.shape, 3), np.float32)
-        fill_gradients(
-            level, np.float32(unit.offset_counts), np.float32(1.0 / unit.unit_counts), out
-        )
-        levels.append(out)
-    assert len(levels) == LEVELS
-    return tuple(levels)
+    """Pyramid of an (H, W) image of any depth, in brightness ``unit``.
+
+    It is written to the arrays in ``room`` where there are some: fresh memory costs more than the
+    arithmetic.
+    """
+    smooth = build_pyramid(image, smoothing_px)
+    if room is None:
+        room = tuple(np.empty((*level.shape, 3), np.float32) for level in smooth)
+    offset, factor = np.float32(unit.offset_counts), np.float32(1.0 / unit.unit_counts)
+    for level, out in zip(smooth, room, strict=True):
+        fill_gradients(level, offset, factor, out)
+    assert len(room) == LEVELS
+    return room
 
 
 @njit(cache=True, nogil=True)
@@ -67,14 +73,18 @@ def fill_gradients(image, offset, factor, out):  # type: ignore[no-untyped-def]
     height, width = image.shape
     half = np.float32(0.5) * factor
     for y in range(height):
+        row, to = image[y], out[y]
         for x in range(width):
-            out[y, x, 0] = (image[y, x] - offset) * factor
-            if 0 < x < width - 1 and 0 < y < height - 1:
-                out[y, x, 1] = half * (image[y, x + 1] - image[y, x - 1])
-                out[y, x, 2] = half * (image[y + 1, x] - image[y - 1, x])
-            else:
-                out[y, x, 1] = np.float32(0.0)
-                out[y, x, 2] = np.float32(0.0)
+            to[x, 0] = (row[x] - offset) * factor
+        if 0 < y < height - 1:
+            above, below = image[y - 1], image[y + 1]
+            for x in range(1, width - 1):
+                to[x, 1] = half * (row[x + 1] - row[x - 1])
+                to[x, 2] = half * (below[x] - above[x])
+            for m in range(1, 3):
+                to[0, m] = to[width - 1, m] = np.float32(0.0)
+        else:
+            to[:, 1:] = np.float32(0.0)
 
 
 def gradients_reference(image: NDArray[np.float32], unit: BrightnessUnit) -> NDArray[np.float32]:

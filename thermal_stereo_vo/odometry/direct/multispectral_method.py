@@ -28,11 +28,12 @@ from thermal_stereo_vo.odometry.direct.frame_tracker import (
 )
 from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
 from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
+from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
-from thermal_stereo_vo.odometry.workers import make_worker
+from thermal_stereo_vo.odometry.workers import make_worker, timed
 
 _ROLES = (VISIBLE, THERMAL)
 _TOP, _SECOND_TOP = 3, 1
@@ -68,7 +69,7 @@ class MultispectralOdometry:
         self._tracker = FrameTracker(config.photometric)
         self._timer = StageTimer()
         self._state = OdometryState(status, np.eye(4), gyro)
-        self._update: Future[MapUpdate | None] | None = None
+        self._update: Future[tuple[MapUpdate | None, float]] | None = None
         self._forget()
 
     def warm_up(self) -> None:
@@ -160,14 +161,26 @@ class MultispectralOdometry:
         with self._timer.stage("pyramid"):
             first = images.pyramid(frame, 0, late.twist(T_start), rho, rig)
         alone: Pyramids = (first, *[None] * (cameras - 1))
-        if first is not None and band_map.shows(0):
+        leads = first is not None and band_map.shows(0)
+        joins = cameras > 1 and images.roles[1] in usable_roles(frame, _ROLES)
+        joins = joins and band_map.is_metric and band_map.shows(1)
+        if leads and joins:
+            # Both will find the place: it is enough that the first one finds the way.
+            with self._timer.stage("align"):
+                T, near = self._tracker.approach(window, alone, T_start, light, late)
+            with self._timer.stage("pyramid"):
+                pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
+            tracked = self._join(window, pyramids, T, near, late)
+            if tracked is not None:
+                return pyramids, tracked
+        if leads:
             tracked = self._find(band_map, alone, T_start, light, late)
         if cameras == 1:
             return alone, tracked
         T = T_start if tracked is None else tracked.T_rig_world
         with self._timer.stage("pyramid"):
             pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
-        if not band_map.is_metric or pyramids[1] is None or not band_map.shows(1):
+        if not joins:
             self._shown[1] = False
             return pyramids, tracked
         if tracked is None:
@@ -178,11 +191,21 @@ class MultispectralOdometry:
             T = tracked.T_rig_world
             with self._timer.stage("pyramid"):
                 pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
+        both = self._join(window, pyramids, T, tracked.brightness, late)
+        return pyramids, tracked if both is None else both
+
+    def _join(
+        self,
+        window: PhotometricWindow,
+        pyramids: Pyramids,
+        T: NDArray[np.float64],
+        brightness: NDArray[np.float64],
+        late: LateCameras,
+    ) -> Tracked | None:
         top = _SECOND_TOP if self._shown[1] else _TOP
         self._shown[1] = True
         with self._timer.stage("align both"):
-            both = self._tracker.track(window, pyramids, T, tracked.brightness, late, top)
-        return pyramids, tracked if both is None else both
+            return self._tracker.track(window, pyramids, T, brightness, late, top)
 
     def _find(
         self,
@@ -235,7 +258,7 @@ class MultispectralOdometry:
         if is_keyframe:
             with self._timer.stage("keyframe"):
                 band_map.add_keyframe(frame, pyramids, tracked, late, self._brightness)
-                self._update = self._worker.submit(band_map.adjustment())
+                self._update = self._worker.submit(timed, band_map.adjustment())
         return result
 
     def _finish_update(self, band_map: BandMap) -> None:
@@ -247,7 +270,8 @@ class MultispectralOdometry:
         if self._update is None:
             return
         with self._timer.stage("wait for bundle"):
-            update = self._update.result()
+            update, spent_ms = self._update.result()
+        self._timer.add("bundle", spent_ms)
         self._update = None
         if update is None:
             return

@@ -8,7 +8,7 @@ eliminating it (Schur complement) is a division.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from thermal_stereo_vo.core.transforms import exp_se3, inverse
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 from thermal_stereo_vo.odometry.direct.rig import with_arms
 from thermal_stereo_vo.odometry.direct.window_equations import POSE, linearise_window
+from thermal_stereo_vo.odometry.direct.window_prior import WindowPrior
 from thermal_stereo_vo.odometry.information import inverse_information
 
 RHO_MIN = 1e-5
@@ -42,6 +43,7 @@ class PhotometricProblem:
     residuals there are.  With ``bands`` the other camera compares its own two views of a point, for
     its patches again with ``trust_gradient``.  ``bolometers`` (C,) bool: those are late, and
     patches of theirs may be so steep that residuals count as they weigh, not by their size.
+    ``prior`` is what keyframes that left still say.
     """
 
     images: tuple[NDArray[np.float32], ...]
@@ -64,6 +66,29 @@ class PhotometricProblem:
     bands: bool
     bolometers: NDArray[np.bool_]
     trust_gradient: float
+    prior: WindowPrior | None = None
+
+    def take(self, chosen: NDArray[np.bool_]) -> PhotometricProblem:
+        """The same keyframes with the ``chosen`` (N,) points, without the prior."""
+        return replace(
+            self,
+            hosts=self.hosts[chosen],
+            host_cameras=self.host_cameras[chosen],
+            bearings=self.bearings[chosen],
+            rhos=self.rhos[chosen],
+            rho_priors=self.rho_priors[chosen],
+            prior_information=self.prior_information[chosen],
+            patches=self.patches[chosen],
+            trusts=self.trusts[chosen],
+            seen=self.seen[chosen],
+            prior=None,
+        )
+
+    @property
+    def lag_s(self) -> float:
+        """How late the bolometers are; 0 where there is none."""
+        late = self.lags_s[self.bolometers]
+        return float(late[0]) if len(late) else 0.0
 
 
 @dataclass(frozen=True)
@@ -163,7 +188,7 @@ def adjust_photometrically(
         if hold > 0.0:
             _hold_size(then, T_new, start_size, hold)
         if then.cost < now.cost:
-            small = now.cost - then.cost < 1e-4 * now.cost
+            small = now.cost - then.cost < 1e-4 * abs(now.cost)
             T, brightness, rhos = T_new, brightness_new, rhos_new
             log_scale, lag_s = log_scale_new, lag_new
             now, then = then, now
@@ -268,17 +293,48 @@ def _linearise(
     huber: float,
     gate: float,
     out: _Equations,
+    slopes: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> None:
     T_rig_camera = with_arms(problem.T_rig_camera, np.exp(-log_scale))
     late = problem.bolometers.astype(np.float64)
     T_then_now = moved_by(problem.twists, problem.lags_s + lag_s * late)
+    if slopes is None:
+        prior = problem.prior
+        slopes = (T, brightness) if prior is None else prior.slopes_at(T, brightness)
+    T_slopes, brightness_slopes = slopes
     out.cost = linearise_window(
-        problem.images, problem.slots, T, problem.twists, late, T_then_now, brightness,
-        problem.cameras, T_rig_camera, problem.hosts, problem.host_cameras, problem.bearings, rhos,
-        problem.rho_priors, problem.prior_information, problem.patches, problem.trusts,
-        problem.seen, problem.bands, problem.bolometers, problem.trust_gradient, huber, gate,
-        out.A, out.g, out.W, out.h_rho, out.b_rho, out.energies,
+        problem.images, problem.slots, T, problem.twists, late, T_then_now, brightness, T_slopes,
+        brightness_slopes, problem.cameras, T_rig_camera, problem.hosts, problem.host_cameras,
+        problem.bearings, rhos, problem.rho_priors, problem.prior_information, problem.patches,
+        problem.trusts, problem.seen, problem.bands, problem.bolometers, problem.trust_gradient,
+        huber, gate, out.A, out.g, out.W, out.h_rho, out.b_rho, out.energies,
     )  # fmt: skip
+    if problem.prior is not None:
+        prior = problem.prior
+        off = prior.offsets(T, brightness, problem.lag_s + lag_s)
+        pulled = prior.H @ off
+        out.A += prior.H
+        out.g += prior.b - pulled
+        out.cost += float(off @ pulled - 2.0 * prior.b @ off)
+
+
+def left_behind(
+    problem: PhotometricProblem, left: int, *, huber: float, gate: float, weight: float
+) -> WindowPrior:
+    """What stays known of the other keyframes when keyframe ``left`` (index) goes with its points.
+
+    Residuals of points that stay are lost with the image.  ``weight`` is what linearised residuals
+    count, which will never be linearised again.
+    """
+    T, brightness = problem.T_k_w, problem.brightness
+    prior = problem.prior or WindowPrior.nothing(T, brightness, problem.lag_s)
+    own = problem.take(problem.hosts == left)
+    equations = _Equations.of(own)
+    # Where keyframes have first estimates, those say how pixels move.
+    slopes = prior.slopes_at(T, brightness)
+    _linearise(own, T, brightness, own.rhos, 0.0, 0.0, huber, gate, equations, slopes)
+    grown = prior.grown(weight * equations.A, weight * equations.g, T, brightness, problem.lag_s)
+    return grown.without(left)
 
 
 def moved_by(twists: NDArray[np.float64], lags_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -41,3 +41,10 @@ class PhotometricConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    marginal_weight: float = setting(
+        0.0,
+        "What the residuals of a keyframe that leaves the window count from then on (marginalised, "
+        "with first-estimate Jacobians); 0 forgets them.",
+        minimum=0.0,
+        maximum=1.0,
+    )

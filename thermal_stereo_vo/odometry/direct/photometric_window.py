@@ -14,10 +14,12 @@ from thermal_stereo_vo.odometry.direct.photometric import PIXELS, take_patches
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     PhotometricProblem,
     PhotometricSolution,
+    left_behind,
     moved_by,
 )
 from thermal_stereo_vo.odometry.direct.photometric_config import PhotometricConfig
 from thermal_stereo_vo.odometry.direct.rig import Rig
+from thermal_stereo_vo.odometry.direct.window_prior import WindowPrior
 from thermal_stereo_vo.odometry.feature_based.image_pyramid import LEVELS
 from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
@@ -85,6 +87,7 @@ class PhotometricWindow:
         self._trusts = np.zeros((LEVELS, capacity, PIXELS))
         self._misses = np.zeros(capacity, np.int64)
         self._intensity = np.zeros(capacity, np.float32)
+        self._prior: WindowPrior | None = None
         self.sigma = 5.0
         """Noise of a pixel's residual as the last adjustment found it."""
 
@@ -92,6 +95,7 @@ class PhotometricWindow:
         """Forget all keyframes and points; the room stays."""
         self.poses.clear()
         self._hosts[:] = -1
+        self._prior = None
 
     def points(self) -> PointSet:
         """All points."""
@@ -136,8 +140,10 @@ class PhotometricWindow:
         self, points: PointSet, camera: int, T_rig_world: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """(N, 2) where points appear in one camera of a rig at ``T_rig_world``; NaN behind it."""
-        T_rig_host = T_rig_world @ self.T_world_host[points.hosts, points.host_cameras]
-        return self.rig.pixels_of(camera, T_rig_host, points.bearings, points.rhos)
+        # One motion for each host and camera, not for each point.
+        T = self.rig.T_camera_rig[camera] @ T_rig_world @ self.T_world_host
+        T_camera_host = T[points.hosts, points.host_cameras]
+        return self.rig.project(camera, T_camera_host, points.bearings, points.rhos)
 
     def flow_px(self, points: PointSet, T_rig_world: NDArray[np.float64]) -> tuple[float, float]:
         """Median motion of the newest keyframe's points since then: in all, and by translation."""
@@ -179,6 +185,8 @@ class PhotometricWindow:
             self.drop_keyframe(self.poses.order[0])
         slot = self.poses.append(pose, relative_covariance)
         self.brightness[slot] = brightness
+        if self._prior is not None:
+            self._prior = self._prior.with_newest(self.poses.T_k_w[slot], brightness)
         self.twists[slot] = 0.0
         for camera, pyramid in enumerate(pyramids):
             self.has_image[slot, camera] = pyramid is not None
@@ -203,9 +211,37 @@ class PhotometricWindow:
         self._rho_information[mine] = self._prior_information[mine] = information
 
     def drop_keyframe(self, slot: int) -> None:
-        """Forget a keyframe and its points."""
+        """Forget a keyframe and its points, but not what others left behind of the rest."""
+        if self._prior is not None:
+            self._prior = self._prior.without(self.poses.order.index(slot))
         self._drop(np.flatnonzero(self._hosts == slot))
         self.poses.drop(slot)
+
+    def marginalise(self, slot: int, config: PhotometricConfig, *, across: bool = True) -> None:
+        """Forget a keyframe and its points, but not what they say of the other keyframes.
+
+        ``across`` as for ``problem``.
+        """
+        if config.marginal_weight > 0.0:
+            mine = self.points()
+            mine = mine.take(np.flatnonzero(mine.hosts == slot))
+            problem, _ = self.problem(across=across, points=mine)
+            self._prior = left_behind(
+                problem,
+                self.poses.order.index(slot),
+                huber=config.huber,
+                gate=config.gate,
+                weight=config.marginal_weight,
+            )
+            # The keyframe itself is out of the prior already.
+            self._drop(mine.index)
+            self.poses.drop(slot)
+        else:
+            self.drop_keyframe(slot)
+
+    def forget_prior(self) -> None:
+        """Believe no longer what keyframes said that have left."""
+        self._prior = None
 
     def add_points(
         self,
@@ -245,14 +281,16 @@ class PhotometricWindow:
         self._hosts[free[usable]] = slot
         return int(usable.sum())
 
-    def problem(self, *, across: bool = True) -> tuple[PhotometricProblem, PointSet]:
-        """A copy of everything the adjustment needs (images aside), and its points.
+    def problem(
+        self, *, across: bool = True, points: PointSet | None = None
+    ) -> tuple[PhotometricProblem, PointSet]:
+        """A copy of everything the adjustment needs (images aside), and its points (default all).
 
         Each keyframe looks for the points of the others with the camera that hosts them.  The other
         camera, where it counts (``across``), sees them in their own keyframe (static stereo), or
         in all others when it is of another band.
         """
-        points = self.points()
+        points = self.points() if points is None else points
         slots = np.array(self.poses.order)
         rank = np.zeros(len(self.has_image), np.int64)
         rank[slots] = np.arange(len(slots))
@@ -294,6 +332,7 @@ class PhotometricWindow:
                 self.rig.bands,
                 self.rig.bolometers,
                 self._trust_gradient,
+                self._prior,
             ),
             points,
         )
@@ -328,6 +367,8 @@ class PhotometricWindow:
     def rescale(self, factor: float, about_m: NDArray[np.float64]) -> None:
         """Multiply all lengths but the lever arms of the rig; ``about_m`` (3,) stays in place."""
         self.poses.rescale(factor, about_m)
+        if self._prior is not None:
+            self._prior = self._prior.rescaled(factor, about_m)
         self.twists[:, :3] *= factor
         self._rhos /= factor
         self._rho_information *= factor**2

@@ -83,8 +83,18 @@ class Rig:
 
         ``T_rig_host`` (4, 4), or (N, 4, 4) one for each.  NaN behind the camera.
         """
+        return self.project(camera, self.T_camera_rig[camera] @ T_rig_host, bearings, rhos)
+
+    def project(
+        self,
+        camera: int,
+        T_camera_host: NDArray[np.float64],
+        bearings: NDArray[np.float64],
+        rhos: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """As ``pixels_of``, from the camera itself: ``T_camera_host`` (4, 4) or (N, 4, 4)."""
         fx, fy, cx, cy = self.cameras[camera]
-        T = self.T_camera_rig[camera] @ T_rig_host
+        T = T_camera_host
         turned = np.einsum("...ij,...j->...i", T[..., :3, :3], bearings)
         q = turned + rhos[:, None] * T[..., :3, 3]
         z = np.where(q[:, 2] > 1e-3, q[:, 2], np.nan)

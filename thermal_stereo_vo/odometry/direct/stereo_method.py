@@ -47,7 +47,7 @@ from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
 from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
-from thermal_stereo_vo.odometry.workers import make_worker
+from thermal_stereo_vo.odometry.workers import make_worker, timed
 
 _ROLES = (LEFT, RIGHT)
 _OVERSAMPLING = 1.5
@@ -138,7 +138,7 @@ class StereoDirectOdometry:
         self._unit: BrightnessUnit | None = None
         self._window: PhotometricWindow | None = None
         self._keyframe_count = 0
-        self._bundle: Future[PhotometricSolution | None] | None = None
+        self._bundle: Future[tuple[PhotometricSolution | None, float]] | None = None
         self._bundle_points: PointSet | None = None
         self._brightness = np.zeros((2, 2))
         self._last_measured = self._state.pose
@@ -274,6 +274,8 @@ class StereoDirectOdometry:
         pixels, disparity = pixels[good], disparity[good]
         if tracked is None:
             self._brightness[1] = _relative_brightness(left, right, pixels, disparity)
+        if window.poses.is_full:
+            window.marginalise(window.poses.order[0], config.photometric)
         slot = window.add_keyframe(self._state.pose, covariance, pyramids, self._brightness)
         focal_baseline = camera.fx * camera.baseline_m
         rhos = np.maximum((disparity - shift_px) / focal_baseline, RHO_MIN)
@@ -290,6 +292,7 @@ class StereoDirectOdometry:
         config = self._config
         problem, self._bundle_points = window.problem()
         self._bundle = self._worker.submit(
+            timed,
             adjust_photometrically,
             problem,
             huber=config.photometric.huber,
@@ -306,7 +309,8 @@ class StereoDirectOdometry:
         if self._bundle is None:
             return
         with self._timer.stage("wait for bundle"):
-            solution = self._bundle.result()
+            solution, spent_ms = self._bundle.result()
+        self._timer.add("bundle", spent_ms)
         points, self._bundle = self._bundle_points, None
         if solution is not None and points is not None:
             window.apply(

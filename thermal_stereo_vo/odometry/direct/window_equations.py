@@ -9,178 +9,354 @@ import numpy as np
 from numba import njit
 
 from thermal_stereo_vo.odometry.direct.frame_alignment import invert
-from thermal_stereo_vo.odometry.direct.photometric import (
-    COLUMNS,
-    LAG,
-    PIXELS,
-    RHO,
-    SCALE,
-    huber_weight,
-    linearise_patch,
-    patch_energy,
-    resample_patch,
+from thermal_stereo_vo.odometry.direct.patch_sums import (
+    AA,
+    AB,
+    AR,
+    BB,
+    BR,
+    BY_LAG,
+    BY_RHO,
+    LOG_SCALE,
+    SLOPES,
+    SUMS,
+    XA,
+    XB,
+    XR,
+    XX,
+    XY,
+    YA,
+    YB,
+    YR,
+    YY,
+    compare_patch,
+    gather_patch,
+    middle_slopes,
+    middle_slopes_at_home,
+    view_patch,
 )
+from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 
 POSE = 6
-_PAIR = 10
+_PAIR, _TAIL, _REFERENCE = 10, 2, 4
 """Motion of the target, its brightness, and scale and lag, which all pairs share."""
 
 
 @njit(cache=True, nogil=True)
 def linearise_window(  # type: ignore[no-untyped-def]
-    images, slots, T_k_w, twists, late, T_then_now, brightness, cameras, T_rig_camera, hosts,
-    host_cameras, bearings, rhos, rho_priors, prior_information, patches, trusts, seen, bands,
-    bolometers, trust_gradient, huber, gate, A, g, W, h_rho, b_rho, energies
+    images, slots, T_k_w, twists, late, T_then_now, brightness, T_slopes, brightness_slopes,
+    cameras, T_rig_camera, hosts, host_cameras, bearings, rhos, rho_priors, prior_information,
+    patches, trusts, seen, bands, bolometers, trust_gradient, huber, gate, A, g, W, h_rho, b_rho,
+    energies
 ):  # fmt: skip
     """Reduced normal equations of all keyframes; keeps W, h_rho and b_rho for the depths.
 
     For T = T_t T_h^-1 and left perturbations of both, d r / d host = -(d r / d target) Ad(T), so
     the equations of each pair are gathered for the target alone and carried over to the host at
-    the end of its points.  Returns the cost.
+    the end of its points.  Residuals and slopes of images are those at ``T_k_w`` and
+    ``brightness``; how pixels move with the poses is taken at ``T_slopes`` (K, 4, 4) and
+    ``brightness_slopes`` (K, C, 2), which are the first estimates of what has a prior.  Returns the
+    cost.
     """
     K, C = len(T_k_w), len(cameras)
     D = POSE + 2 * C
-    r, J = np.empty(PIXELS), np.zeros((PIXELS, COLUMNS))
+    count = len(hosts)
+    view, r, weights = np.empty((3, PIXELS)), np.empty(PIXELS), np.empty(PIXELS)
+    sums, G, w, tail = np.empty(SUMS), np.zeros((2, SLOPES)), np.empty(_PAIR), np.empty(_TAIL)
+    # What all targets are compared with, of each point of a host and of the one at work.
+    group = np.empty((count, _REFERENCE, PIXELS))
+    group_trust, group_G = np.empty(count), np.empty((count, 2, 3))
+    patch, trusts_here = np.empty(PIXELS), np.empty(PIXELS)
+    home, G_home = np.empty((3, PIXELS)), np.empty((2, 3))
+    T, T_h_inv, T_w_hc = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    T_c_hc, arms = np.empty((C, 4, 4)), np.empty((K * C, 2, 3))
     drifts, drift_c, Ad_c = np.zeros((K, C, 6)), np.zeros((C, 6)), np.zeros((6, 6))
-    patch, trusts_here, slopes = np.empty(PIXELS), np.empty(PIXELS), np.zeros((3, PIXELS))
-    T, T_h_inv = np.empty((4, 4)), np.empty((4, 4))
-    T_c_hc, arms = np.empty((C, 4, 4)), np.empty((K, C, 2, 3))
     # Of the rig at the stamp, though the camera looked a little earlier.
-    T_camera_now, T_now_camera = np.empty((K, C, 4, 4)), np.empty((K, C, 4, 4))
+    T_camera_now, T_now_camera = np.empty((K * C, 4, 4)), np.empty((K * C, 4, 4))
     own_arms, arms_now, arms_c = np.empty((C, 3)), np.empty((K, C, 3)), np.empty((C, 3))
     for c in range(C):
         invert(T_rig_camera[c], T)
         own_arms[c] = T[:3, 3]
         for t in range(K):
-            T_camera_now[t, c] = T @ T_then_now[t, c]
-            invert(T_camera_now[t, c], T_now_camera[t, c])
+            compose(T, T_then_now[t, c], T_camera_now[t * C + c])
+            invert(T_camera_now[t * C + c], T_now_camera[t * C + c])
             invert(T_then_now[t, c], T_h_inv)
             arms_now[t, c] = turned(T_h_inv, T_rig_camera[c, :3, 3])
-    steps = np.empty((C, 2))
-    for c in range(C):
-        steps[c, 0] = 1.0 / cameras[c, 0]
-        steps[c, 1] = 1.0 / cameras[c, 1]
-    pair_A, pair_g = np.zeros((K, C, _PAIR, _PAIR)), np.zeros((K, C, _PAIR))
-    T_rel = np.empty((K, 4, 4))
+    pair_A, pair_g = np.zeros((K * C, _PAIR, _PAIR)), np.zeros((K * C, _PAIR))
+    T_there, T_slope = np.empty((K * C, 4, 4)), np.empty((K, 4, 4))
+    gains, slope_gains = np.empty((K, C)), np.empty((K, C))
     Ad = np.zeros((K, 6, 6))
-    w = np.empty(_PAIR)
     A[:] = 0.0
     g[:] = 0.0
     W[:] = 0.0
     cost = 0.0
     limit = gate * gate
-    h, hc = -1, -1
-    for n in range(len(hosts)):
-        if hosts[n] != h or host_cameras[n] != hc:
-            if h >= 0:
-                flush_pairs(h, hc, bands, Ad, brightness, pair_A, pair_g, A, g)
-            h, hc = hosts[n], host_cameras[n]
-            for c in range(C):
-                T_c_hc[c] = T_camera_now[h, c] @ T_now_camera[h, hc]
-                arms_c[c] = own_arms[c] + turned(T_camera_now[h, c], arms_now[h, hc])
-                write_adjoint(T_camera_now[h, c], Ad_c)
-                drift_c[c] = (late[c] - late[hc]) * (Ad_c @ twists[h])
-            invert(T_k_w[h], T_h_inv)
-            for t in range(K):
-                T[:] = T_k_w[t] @ T_h_inv
-                write_adjoint(T, Ad[t])
-                T_rel[t] = T @ T_now_camera[h, hc]
-                for c in range(C):
-                    arms[t, c, 0] = turned(T, arms_now[h, hc])
-                    arms[t, c, 1] = own_arms[c]
-                    drifts[t, c] = late[c] * twists[t] - late[hc] * (Ad[t] @ twists[h])
-        off = rho_priors[n] - rhos[n]
-        h_rho[n] = prior_information[n]
-        b_rho[n] = prior_information[n] * off
-        cost += prior_information[n] * off * off
+    c2 = trust_gradient * trust_gradient
+    energies[:] = np.nan
+    start = 0
+    while start < count:
+        h, hc = hosts[start], host_cameras[start]
+        stop = start + 1
+        while stop < count and hosts[stop] == h and host_cameras[stop] == hc:
+            stop += 1
+        for c in range(C):
+            compose(T_camera_now[h * C + c], T_now_camera[h * C + hc], T_c_hc[c])
+            arms_c[c] = own_arms[c] + turned(T_camera_now[h * C + c], arms_now[h, hc])
+            write_adjoint(T_camera_now[h * C + c], Ad_c)
+            drift_c[c] = (late[c] - late[hc]) * (Ad_c @ twists[h])
+        invert(T_k_w[h], T)
+        compose(T, T_now_camera[h * C + hc], T_w_hc)
+        invert(T_slopes[h], T_h_inv)
         for t in range(K):
+            compose(T_k_w[t], T_w_hc, T)
             for c in range(C):
-                energies[n, t, c] = np.nan
-                if not seen[n, t, c]:
-                    continue
-                across = bands and c != hc
-                # Whose brightness the patch has: that of the host, or of the other camera then.
-                owner = c if across else hc
+                compose(T_camera_now[t * C + c], T, T_there[t * C + c])
+            compose(T_slopes[t], T_h_inv, T)
+            write_adjoint(T, Ad[t])
+            compose(T, T_now_camera[h * C + hc], T_slope[t])
+            for c in range(C):
+                owner = c if bands else hc
+                for i in range(3):
+                    arms[t * C + c, 0, i] = (
+                        T[i, 0] * arms_now[h, hc, 0]
+                        + T[i, 1] * arms_now[h, hc, 1]
+                        + T[i, 2] * arms_now[h, hc, 2]
+                    )
+                    arms[t * C + c, 1, i] = own_arms[c, i]
+                for i in range(POSE):
+                    total = 0.0
+                    for m in range(POSE):
+                        total += Ad[t, i, m] * twists[h, m]
+                    drifts[t, c, i] = late[c] * twists[t, i] - late[hc] * total
+                gains[t, c] = np.exp(brightness[t, c, 0] - brightness[h, owner, 0])
+                slope_gains[t, c] = np.exp(
+                    brightness_slopes[t, c, 0] - brightness_slopes[h, owner, 0]
+                )
+        for n in range(start, stop):
+            off = rho_priors[n] - rhos[n]
+            h_rho[n] = prior_information[n]
+            b_rho[n] = prior_information[n] * off
+            cost += prior_information[n] * off * off
+        sx, sy = 1.0 / cameras[hc, 0], 1.0 / cameras[hc, 1]
+        ah = h * D
+        for c in range(C):
+            across = bands and c != hc
+            stack = images[c]
+            camera = cameras[c, 0], cameras[c, 1], cameras[c, 2], cameras[c, 3]
+            # Whose brightness the patch has: that of the host, or of the other camera then.
+            owner = c if across else hc
+            b_host, b_slope = brightness[h, owner, 1], brightness_slopes[h, owner, 1]
+            for n in range(start, stop):
+                m = n - start
+                x, y = bearings[n, 0], bearings[n, 1]
+                group_trust[m] = 0.0
                 if across:
-                    if not resample_patch(
-                        images[c][slots[h]], cameras[c], T_c_hc[c], arms_c[c], drift_c[c],
-                        bearings[n], rhos[n], steps[hc], trust_gradient, patch, trusts_here, slopes,
-                    ):  # fmt: skip
+                    if not view_patch(
+                        stack, slots[h], camera, T_c_hc, c, x, y, rhos[n], sx, sy, home
+                    ):
                         continue
-                else:
-                    for k in range(PIXELS):
-                        patch[k] = patches[n, k]
-                        trusts_here[k] = trusts[n, k]
-                trust = 0.0
+                    middle_slopes_at_home(T_c_hc, arms_c, drift_c, c, x, y, rhos[n], G_home)
+                    group_G[m] = G_home
                 for k in range(PIXELS):
-                    trust += trusts_here[k]
-                if not trust > 0.0:
-                    continue
-                if bolometers[c]:
-                    trust = PIXELS
-                gain = np.exp(brightness[t, c, 0] - brightness[h, owner, 0])
-                if not linearise_patch(
-                    images[c][slots[t]], cameras[c], 1.0, T_rel[t], T_camera_now[t, c], arms[t, c],
-                    bearings[n], rhos[n], steps[hc], patch, gain, brightness[h, owner, 1],
-                    brightness[t, c, 1], r, J,
-                ):  # fmt: skip
-                    cost += limit * trust
-                    continue
-                for k in range(PIXELS):
-                    J[k, LAG] = 0.0
-                    for i in range(POSE):
-                        J[k, LAG] += J[k, i] * drifts[t, c, i]
                     if across:
-                        J[k, SCALE] -= gain * slopes[0, k]
-                        J[k, LAG] -= gain * slopes[1, k]
-                        J[k, RHO] -= gain * slopes[2, k]
-                energy = patch_energy(r, trusts_here, huber)
-                energies[n, t, c] = energy / trust
-                if energy > limit * trust:
-                    cost += limit * trust
-                    continue
-                cost += energy
-                w[:] = 0.0
-                # In its own host a point moves with the rig: only depth and brightness count.
-                first = POSE if t == h else 0
-                H, v = pair_A[t, c], pair_g[t, c]
-                for k in range(PIXELS):
-                    weight = trusts_here[k] * huber_weight(r[k], huber)
-                    j_rho = J[k, RHO]
-                    h_rho[n] += weight * j_rho * j_rho
-                    b_rho[n] -= weight * j_rho * r[k]
-                    for i in range(first, _PAIR):
-                        wj = weight * J[k, i]
-                        v[i] -= wj * r[k]
-                        w[i] += wj * j_rho
-                        for m in range(i, _PAIR):
-                            H[i, m] += wj * J[k, m]
-                row = W[n]
-                at, ah = t * D, h * D
-                if t != h:
-                    for i in range(POSE):
-                        row[at + i] += w[i]
-                        total = 0.0
-                        for m in range(POSE):
-                            total += Ad[t, m, i] * w[m]
-                        row[ah + i] -= total
-                row[at + POSE + 2 * c] += w[6]
-                row[at + POSE + 2 * c + 1] += w[7]
-                row[ah + POSE + 2 * owner] -= w[6]
-                row[ah + POSE + 2 * owner + 1] -= gain * w[7]
-                row[K * D] += w[8]
-                row[K * D + 1] += w[9]
-    if h >= 0:
-        flush_pairs(h, hc, bands, Ad, brightness, pair_A, pair_g, A, g)
-    scaled = np.empty_like(W)
-    for n in range(len(hosts)):
-        # A point that nothing shows has no row in W either.
-        factor = 1.0 / h_rho[n] if h_rho[n] > 0.0 else 0.0
-        for i in range(len(g)):
-            scaled[n, i] = factor * W[n, i]
-            g[i] -= scaled[n, i] * b_rho[n]
-    A -= scaled.T @ W
+                        u, v = home[1, k] / camera[0], home[2, k] / camera[1]
+                        group[m, 0, k] = home[0, k]
+                        group[m, 1, k] = c2 / (c2 + u * u + v * v)
+                        group[m, 2, k], group[m, 3, k] = home[1, k], home[2, k]
+                    else:
+                        group[m, 0, k], group[m, 1, k] = patches[n, k], trusts[n, k]
+                    group_trust[m] += group[m, 1, k]
+                if bolometers[c] and group_trust[m] > 0.0:
+                    group_trust[m] = PIXELS
+            # One image after the other: they are larger than caches.
+            for t in range(K):
+                pair, at, gain = t * C + c, t * D, slope_gains[t, c]
+                for n in range(start, stop):
+                    trust = group_trust[n - start]
+                    if not seen[n, t, c] or not trust > 0.0:
+                        continue
+                    x, y = bearings[n, 0], bearings[n, 1]
+                    if not view_patch(
+                        stack, slots[t], camera, T_there, pair, x, y, rhos[n], sx, sy, view
+                    ):
+                        cost += limit * trust
+                        continue
+                    for k in range(PIXELS):
+                        patch[k] = group[n - start, 0, k]
+                        trusts_here[k] = group[n - start, 1, k]
+                    energy = compare_patch(
+                        view, patch, trusts_here, gains[t, c], b_host, brightness[t, c, 1], huber,
+                        r, weights,
+                    )  # fmt: skip
+                    energies[n, t, c] = energy / trust
+                    if energy > limit * trust:
+                        cost += limit * trust
+                        continue
+                    cost += energy
+                    gather_patch(view, patch, gain, b_slope, r, weights, sums)
+                    middle_slopes(T_slope, t, T_camera_now, pair, arms, x, y, rhos[n], G)
+                    for m in range(2):
+                        G[m, BY_LAG] = 0.0
+                        for i in range(POSE):
+                            G[m, BY_LAG] += G[m, i] * drifts[t, c, i]
+                    # In its own host a point moves with the rig: only depth and brightness count.
+                    first = POSE if t == h else 0
+                    add_slopes(G, sums, first, pair, pair_A, pair_g, w, tail)
+                    if across:
+                        for k in range(PIXELS):
+                            home[1, k] = group[n - start, 2, k]
+                            home[2, k] = group[n - start, 3, k]
+                        for i in range(3):
+                            G_home[0, i] = group_G[n - start, 0, i]
+                            G_home[1, i] = group_G[n - start, 1, i]
+                        add_slopes_at_home(
+                            G, G_home, view, home, patch, gain, b_slope, r, weights, pair, pair_A,
+                            pair_g, w, tail,
+                        )  # fmt: skip
+                    h_rho[n] += tail[0]
+                    b_rho[n] -= tail[1]
+                    if t != h:
+                        for i in range(POSE):
+                            W[n, at + i] += w[i]
+                            total = 0.0
+                            for m in range(POSE):
+                                total += Ad[t, m, i] * w[m]
+                            W[n, ah + i] -= total
+                    W[n, at + POSE + 2 * c] += w[6]
+                    W[n, at + POSE + 2 * c + 1] += w[7]
+                    W[n, ah + POSE + 2 * owner] -= w[6]
+                    W[n, ah + POSE + 2 * owner + 1] -= gain * w[7]
+                    W[n, K * D] += w[8]
+                    W[n, K * D + 1] += w[9]
+        flush_pairs(h, hc, bands, Ad, slope_gains, pair_A, pair_g, A, g)
+        start = stop
+    eliminate_points(W, h_rho, b_rho, A, g)
     return cost
+
+
+@njit(cache=True, nogil=True)
+def add_slopes(G, sums, first, pair, H, v, w, tail):  # type: ignore[no-untyped-def]
+    """Add a patch to the upper half of ``H`` (P, 10, 10) and to ``v`` (P, 10) of a ``pair``.
+
+    ``G`` (2, SLOPES) and ``sums`` as ``patch_sums`` writes them; columns of the motion before
+    ``first`` are left out.  Writes ``w`` (10,), the products with the inverse depth, and ``tail``:
+    information and right side of that.
+    """
+    x_rho, y_rho = G[0, BY_RHO], G[1, BY_RHO]
+    tx_rho = sums[XX] * x_rho + sums[XY] * y_rho
+    ty_rho = sums[XY] * x_rho + sums[YY] * y_rho
+    tail[0] = x_rho * tx_rho + y_rho * ty_rho
+    tail[1] = x_rho * sums[XR] + y_rho * sums[YR]
+    for i in range(first):
+        w[i] = 0.0
+    for i in range(first, SLOPES - 1):
+        at = i if i < POSE else i + 2
+        x, y = G[0, i], G[1, i]
+        tx = sums[XX] * x + sums[XY] * y
+        ty = sums[XY] * x + sums[YY] * y
+        v[pair, at] -= x * sums[XR] + y * sums[YR]
+        w[at] = x * tx_rho + y * ty_rho
+        by_a, by_b = x * sums[XA] + y * sums[YA], x * sums[XB] + y * sums[YB]
+        if i < POSE:
+            H[pair, i, 6] += by_a
+            H[pair, i, 7] += by_b
+        else:
+            H[pair, 6, at] += by_a
+            H[pair, 7, at] += by_b
+        for m in range(first, i + 1):
+            H[pair, m if m < POSE else m + 2, at] += G[0, m] * tx + G[1, m] * ty
+    v[pair, 6] -= sums[AR]
+    v[pair, 7] -= sums[BR]
+    w[6] = x_rho * sums[XA] + y_rho * sums[YA]
+    w[7] = x_rho * sums[XB] + y_rho * sums[YB]
+    H[pair, 6, 6] += sums[AA]
+    H[pair, 6, 7] += sums[AB]
+    H[pair, 7, 7] += sums[BB]
+
+
+@njit(cache=True, nogil=True)
+def add_slopes_at_home(  # type: ignore[no-untyped-def]
+    G, G_home, view, home, patch, gain, b_host, r, weights, pair, H, v, w, tail
+):
+    """Add what moves the patch itself, where it is taken from another camera's image.
+
+    Scale, lag and depth move it by ``G_home`` (2, 3); comes after ``add_slopes``.
+    """
+    # Weighted products of the patch's slopes with all others.
+    pp = pq = qq = 0.0
+    px = py = pa = pb = pr = 0.0
+    qx = qy = qa = qb = qr = 0.0
+    for k in range(PIXELS):
+        p, q = -gain * home[1, k], -gain * home[2, k]
+        x, y, a = view[1, k], view[2, k], gain * (b_host - patch[k])
+        wp, wq = weights[k] * p, weights[k] * q
+        pp += wp * p
+        pq += wp * q
+        qq += wq * q
+        px += wp * x
+        py += wp * y
+        pa += wp * a
+        pb -= wp
+        pr += wp * r[k]
+        qx += wq * x
+        qy += wq * y
+        qa += wq * a
+        qb -= wq
+        qr += wq * r[k]
+    for j in range(3):
+        p, q = G_home[0, j], G_home[1, j]
+        # The column without its own part times this part, then both ways.
+        by_x, by_y = p * px + q * qx, p * py + q * qy
+        by_a, by_b = p * pa + q * qa, p * pb + q * qb
+        right = p * pr + q * qr
+        if j == 2:
+            for i in range(SLOPES - 1):
+                w[i if i < POSE else i + 2] += G[0, i] * by_x + G[1, i] * by_y
+            w[6] += by_a
+            w[7] += by_b
+            for i in range(2):
+                own = G_home[0, i], G_home[1, i]
+                w[8 + i] += own[0] * (pp * p + pq * q) + own[1] * (pq * p + qq * q)
+                cross_x, cross_y = own[0] * px + own[1] * qx, own[0] * py + own[1] * qy
+                w[8 + i] += G[0, BY_RHO] * cross_x + G[1, BY_RHO] * cross_y
+            tail[0] += 2.0 * (G[0, BY_RHO] * by_x + G[1, BY_RHO] * by_y)
+            tail[0] += p * (pp * p + pq * q) + q * (pq * p + qq * q)
+            tail[1] += right
+        else:
+            at = 8 + j
+            for i in range(POSE):
+                H[pair, i, at] += G[0, i] * by_x + G[1, i] * by_y
+            H[pair, 6, at] += by_a
+            H[pair, 7, at] += by_b
+            v[pair, at] -= right
+            for i in range(2):
+                both = G[0, LOG_SCALE + i] * by_x + G[1, LOG_SCALE + i] * by_y
+                H[pair, min(at, 8 + i), max(at, 8 + i)] += both * (2.0 if i == j else 1.0)
+            for i in range(j + 1):
+                own = G_home[0, i], G_home[1, i]
+                H[pair, 8 + i, at] += own[0] * (pp * p + pq * q) + own[1] * (pq * p + qq * q)
+
+
+@njit(cache=True, nogil=True)
+def eliminate_points(W, h_rho, b_rho, A, g):  # type: ignore[no-untyped-def]
+    """Take the inverse depths, (N, U) ``W`` with ``h_rho`` and ``b_rho`` (N,), out of A and g."""
+    count = len(g)
+    for n in range(len(h_rho)):
+        # A point that nothing shows has no row in W either.
+        if not h_rho[n] > 0.0:
+            continue
+        row = W[n]
+        for i in range(count):
+            if row[i] == 0.0:
+                continue
+            factor = row[i] / h_rho[n]
+            g[i] -= factor * b_rho[n]
+            out = A[i]
+            for m in range(i, count):
+                out[m] -= factor * row[m]
+    for i in range(count):
+        for m in range(i):
+            A[i, m] = A[m, i]
 
 
 @njit(cache=True, nogil=True)
@@ -207,38 +383,70 @@ def write_adjoint(T, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def flush_pairs(h, hc, bands, Ad, brightness, pair_A, pair_g, A, g):  # type: ignore[no-untyped-def]
-    """Add the equations of one host's pairs to those of the keyframes, and clear them."""
-    K, C = pair_g.shape[0], pair_g.shape[1]
+def flush_pairs(h, hc, bands, Ad, gains, pair_A, pair_g, A, g):  # type: ignore[no-untyped-def]
+    """Add the equations of one host's pairs to those of the keyframes, and clear them.
+
+    A host's motion and brightness act as -Ad^T and -1, -gain times those of the target.
+    """
+    K, C = gains.shape
     D = POSE + 2 * C
     own = POSE + 2
-    B = np.zeros((_PAIR, _PAIR + own))
-    index = np.empty(_PAIR + own, np.int64)
-    index[_PAIR - 2], index[_PAIR - 1] = K * D, K * D + 1
+    mixed, at, ah = np.empty((_PAIR, own)), np.empty(_PAIR, np.int64), np.empty(own, np.int64)
+    at[8], at[9] = K * D, K * D + 1
+    for i in range(POSE):
+        ah[i] = h * D + i
     for t in range(K):
+        for i in range(POSE):
+            at[i] = t * D + i
         for c in range(C):
-            H, v = pair_A[t, c], pair_g[t, c]
-            owner = c if bands else hc
-            B[:] = 0.0
-            for i in range(_PAIR):
-                B[i, i] = 1.0
-            for i in range(POSE):
-                for m in range(POSE):
-                    B[i, _PAIR + m] = -Ad[t, i, m]
-                index[i], index[_PAIR + i] = t * D + i, h * D + i
-            B[6, _PAIR + 6] = -1.0
-            B[7, _PAIR + 7] = -np.exp(brightness[t, c, 0] - brightness[h, owner, 0])
+            H, v = pair_A[t * C + c], pair_g[t * C + c]
+            if H[7, 7] == 0.0:  # every patch adds to it
+                continue
+            owner, gain = c if bands else hc, gains[t, c]
             for i in range(2):
-                index[6 + i] = t * D + POSE + 2 * c + i
-                index[_PAIR + 6 + i] = h * D + POSE + 2 * owner + i
+                at[6 + i] = t * D + POSE + 2 * c + i
+                ah[6 + i] = h * D + POSE + 2 * owner + i
             for i in range(_PAIR):
                 for m in range(i):
                     H[i, m] = H[m, i]
-            full = B.T @ H @ B
-            right = B.T @ v
-            for i in range(_PAIR + own):
-                g[index[i]] += right[i]
-                for m in range(_PAIR + own):
-                    A[index[i], index[m]] += full[i, m]
+            for i in range(_PAIR):
+                g[at[i]] += v[i]
+                for m in range(_PAIR):
+                    A[at[i], at[m]] += H[i, m]
+                for m in range(POSE):
+                    total = 0.0
+                    for k in range(POSE):
+                        total -= H[i, k] * Ad[t, k, m]
+                    mixed[i, m] = total
+                mixed[i, 6] = -H[i, 6]
+                mixed[i, 7] = -gain * H[i, 7]
+                for m in range(own):
+                    A[at[i], ah[m]] += mixed[i, m]
+                    A[ah[m], at[i]] += mixed[i, m]
+            for i in range(POSE):
+                right = 0.0
+                for k in range(POSE):
+                    right -= Ad[t, k, i] * v[k]
+                g[ah[i]] += right
+                for m in range(own):
+                    total = 0.0
+                    for k in range(POSE):
+                        total -= Ad[t, k, i] * mixed[k, m]
+                    A[ah[i], ah[m]] += total
+            g[ah[6]] -= v[6]
+            g[ah[7]] -= gain * v[7]
+            for m in range(own):
+                A[ah[6], ah[m]] -= mixed[6, m]
+                A[ah[7], ah[m]] -= gain * mixed[7, m]
             H[:] = 0.0
             v[:] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def compose(A, B, out):  # type: ignore[no-untyped-def]
+    """Write the product of two (4, 4) matrices; BLAS takes longer to call than this takes."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = (
+                A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j] + A[i, 3] * B[3, j]
+            )
