@@ -84,6 +84,10 @@ class StageTimer:
         finally:
             self._stage_ms[name] += (time.perf_counter() - start) * 1e3
 
+    def add(self, name: str, stage_ms: float) -> None:
+        """Add time that was measured elsewhere, as beside this thread."""
+        self._stage_ms[name] += stage_ms
+
     def take(self) -> dict[str, float]:
         """Stage -> milliseconds since the last call; starts anew."""
         taken = dict(self._stage_ms)

@@ -100,6 +100,26 @@ def test_stages_in_turns_with_the_baseline(drive, tmp_path, capsys):
         assert one == two
 
 
+def test_pace_of_a_direct_method(drive, tmp_path, capsys):
+    out = tmp_path / "pace.json"
+    arguments = ["--source", str(drive), "--method", "direct", "--frames", "12", "--threads", "2"]
+    often = ["--set", "odometry.direct.keyframes.parallax_px=1.0"]
+    assert main(["benchmark", *arguments, *often, "--output", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "2 threads, as fast as it goes" in text
+    fast, at_rate = json.loads(out.read_text())["figures"]
+    assert (fast["at_rate"], at_rate["at_rate"]) == (False, True)
+    # Eleven intervals of a tenth of a second cannot be shortened.
+    assert at_rate["frames_per_s"] < 12 / 1.1
+    for each in (fast, at_rate):
+        assert each["frames"] == 12
+        assert 2 <= each["keyframes"] <= 12
+        stages = each["stages_ms"]
+        assert {"pyramid", "align", "keyframe", "wait for bundle"} < set(stages)
+        assert 0.0 < stages["bundle"]["median"] <= stages["bundle"]["p95"]
+    assert fast["keyframes"] == at_rate["keyframes"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [

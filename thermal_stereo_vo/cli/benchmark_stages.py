@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from thermal_stereo_vo.cli.benchmark_arguments import (
     add_recording_arguments,
@@ -13,7 +14,12 @@ from thermal_stereo_vo.cli.benchmark_arguments import (
 )
 from thermal_stereo_vo.cli.progress import progress
 
+if TYPE_CHECKING:
+    from thermal_stereo_vo.benchmarks.recorded import Recorded
+    from thermal_stereo_vo.pipeline import Config
+
 PAIRS = 60
+FEATURE = "feature"
 
 
 def add_stages_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +44,8 @@ def run_stages(args: argparse.Namespace) -> int:
     require_positive(args, "repeat")
     threads = (1, 2) if args.threads is None else (args.threads,)
     config, recorded = read_recording(args, PAIRS)
+    if config.odometry.method != FEATURE:
+        return _run_pace(args, config, recorded, threads)
     total = recorded.pairs * args.repeat * len(threads)
     with progress(total, "pair", quiet=args.quiet) as step:
         times = measure_stages(
@@ -46,3 +54,15 @@ def run_stages(args: argparse.Namespace) -> int:
     passes = "" if args.repeat == 1 else f", {args.repeat} times"
     text = f"{title(recorded)}{passes}; milliseconds a pair\n\n{stage_report(times)}"
     return report(args, text, stage_record(times))
+
+
+def _run_pace(
+    args: argparse.Namespace, config: Config, recorded: Recorded, threads: tuple[int, ...]
+) -> int:
+    """The other methods have no baseline: whether they keep pace with their cameras."""
+    from thermal_stereo_vo.benchmarks.pace import measure_pace, pace_record, pace_report
+
+    with progress(2 * len(threads) * recorded.pairs, "pair", quiet=args.quiet) as step:
+        paces = measure_pace(recorded, config, threads=threads, on_progress=step)
+    text = f"{title(recorded)}; milliseconds\n\n{pace_report(paces)}"
+    return report(args, text, pace_record(paces))
