@@ -203,9 +203,10 @@ class MultispectralOdometry:
         late: LateCameras,
     ) -> Tracked | None:
         top = _SECOND_TOP if self._shown[1] else _TOP
-        self._shown[1] = True
         with self._timer.stage("align both"):
-            return self._tracker.track(window, pyramids, T, brightness, late, top)
+            tracked = self._tracker.track(window, pyramids, T, brightness, late, top)
+        self._shown[1] = tracked is not None
+        return tracked
 
     def _find(
         self,

@@ -46,7 +46,7 @@ def select_points(
     As in DSO (Engel et al., TPAMI 2018) the threshold is the median gradient of the surroundings
     and a constant, so that weak parts of the image get points too and noise does not.
     """
-    steepness = np.empty(image.shape[:2], np.float32)
+    steepness: NDArray[np.float32] = np.empty(image.shape[:2], np.float32)
     fill_steepness(image, steepness)
     clear_below(steepness, *_least_by_block(steepness, config))
     height, width = steepness.shape
