@@ -35,7 +35,7 @@ _ARM_SIGMA = 0.5
 _MEMORY = 8
 _LEAST_WINDOWS = 4
 _SIGMAS = 3.0
-_LEAST_FITS = 0.8
+_LEAST_FITS, _LEAST_ANYWHERE = 0.8, 0.25
 _BY_FAR = 0.6
 _TRUST = 8.0
 """Variances by residuals are claimed so many times as large, as those of scales are."""
@@ -46,7 +46,8 @@ class Turn:
     """How far one window would turn the second camera.
 
     ``turn_rad`` (3,) in axes of that camera, ``information`` (3, 3) of it; ``is_half`` where a half
-    turn about one of its axes is by far the best, as for a picture that is mirrored or upside down.
+    turn about one of its axes is by far the best, as for a picture that is upside down, or where
+    its patches fit nowhere, as for one that is mirrored.
     """
 
     turn_rad: NDArray[np.float64]
@@ -113,7 +114,8 @@ def turn_of_second(
         return turn
     half_turns = [make_transform(exp_so3(np.pi * axis), np.zeros(3)) for axis in np.eye(3)]
     least = min(second.settle(T_half @ second.T_given)[1].cost for T_half in half_turns)
-    return replace(turn, is_half=least < _BY_FAR * found.cost)
+    nowhere = np.count_nonzero(found.energies < gate * gate) < _LEAST_ANYWHERE * patches
+    return replace(turn, is_half=bool(nowhere) or least < _BY_FAR * found.cost)
 
 
 class _Second:
