@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,9 @@ from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.evaluation.alignment import umeyama
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
 
-from .two_band_room import Room, sliding, swaying
+from .two_band_room import Room, sliding, sway, swaying
 
-FRAMES = 100
+FRAMES, START = 100, 75
 SETTINGS = (
     "method=multispectral",
     "status.bolometer_lag_ms=0",
@@ -47,8 +48,16 @@ def flight():
 
 
 @pytest.fixture(scope="module")
-def results(flight):
-    return fly(odometry(), flight[0])
+def flown(flight):
+    """The method at ``START`` and what it has said until then."""
+    method = odometry()
+    return method, fly(method, flight[0][:START])
+
+
+@pytest.fixture(scope="module")
+def results(flight, flown):
+    method, before = flown
+    return before + fly(copy.deepcopy(method), flight[0][START:])
 
 
 def metric(results, poses):
@@ -108,19 +117,32 @@ def test_the_unit_is_that_of_the_lever_arm(flight, results):
 
 
 @pytest.mark.parametrize(("away", "count"), [(THERMAL, 8), (VISIBLE, 20)])
-def test_either_camera_carries_on_alone(flight, away, count):
-    """Measured in metres and without a jump, while the other one is away and when it is back."""
+def test_either_camera_carries_on_alone(flight, flown, away, count):
+    check_that_it_goes_on(flight, flown, lambda frame: without(frame, away), count)
+
+
+@pytest.mark.parametrize(("role", "value"), [(VISIBLE, 0), (VISIBLE, 255), (THERMAL, 16383)])
+def test_a_picture_that_shows_nothing_does_no_harm(flight, flown, role, value):
+    """Black or saturated, and nobody says that the camera is blind."""
+
+    def filled(frame):
+        view = frame.views[role]
+        image = np.full_like(view.image, value)
+        return replace(frame, views={**frame.views, role: replace(view, image=image)})
+
+    check_that_it_goes_on(flight, flown, filled, 8)
+
+
+def check_that_it_goes_on(flight, flown, part, count):
+    """Measured in metres and without a jump, while a camera is away and when it is back."""
     frames, poses = flight
-    start = 75
-    parted = [
-        without(frame, away) if start <= i < start + count else frame
-        for i, frame in enumerate(frames)
-    ]
-    results = fly(odometry(), parted)
-    assert all(result.scale_converged for result in results[start:])
-    assert all(result.status is TrackingStatus.TRACKING for result in results[start:])
-    found = np.array([result.T_world_rig for result in results[start - 1 :]])
-    true = poses[start - 1 :]
+    method, before = flown
+    parted = [*map(part, frames[START : START + count]), *frames[START + count :]]
+    results = fly(copy.deepcopy(method), parted)
+    assert all(result.scale_converged for result in results)
+    assert all(result.status is TrackingStatus.TRACKING for result in results)
+    found = np.array([result.T_world_rig for result in [before[-1], *results]])
+    true = poses[START - 1 :]
     steps = [
         np.linalg.norm((inverse(a) @ b)[:3, 3] - (inverse(c) @ d)[:3, 3])
         for a, b, c, d in zip(found, found[1:], true, true[1:], strict=False)
@@ -128,6 +150,21 @@ def test_either_camera_carries_on_alone(flight, away, count):
     assert max(steps) < 0.015
     _, error_m = scale_and_error(found[:, :3, 3], true[:, :3, 3])
     assert error_m < 0.02
+
+
+def test_stamps_that_roll_are_told_and_give_no_metres():
+    """Thermal pictures are older than said by ever more, 8 ms a second, and jitter by 4 ms."""
+    room, rng, wander = Room(3), np.random.default_rng(5), np.random.default_rng(6)
+    frames = []
+    for i in range(60):
+        late_s = 4e-4 * i + 4e-3 * wander.uniform(-1.0, 1.0)
+        now = room.frame(i, sway(0.05 * i), rng)
+        then = room.frame(i, sway(0.05 * i - late_s), rng)
+        frames.append(replace(now, views={**now.views, THERMAL: then.views[THERMAL]}))
+    results = fly(odometry(), frames)
+    assert not any(result.scale_converged for result in results)
+    assert results[-1].status is TrackingStatus.DEGRADED
+    assert "check the stamps of its cameras" in results[-1].reason
 
 
 @pytest.mark.parametrize("path", [sliding, lambda count: np.tile(np.eye(4), (count, 1, 1))])
@@ -162,10 +199,8 @@ def test_one_camera_alone_makes_a_map_without_unit(flight, role):
     assert 1.5 < aligned.scale < 8.0
 
 
-def test_points_bear_what_both_cameras_show(flight):
-    frames, _ = flight
-    method = odometry()
-    fly(method, frames[:70])
+def test_points_bear_what_both_cameras_show(flown):
+    method, _ = flown
     cloud = method.local_map()
     assert len(cloud.xyz) > 150
     both = np.isfinite(cloud.intensity) & np.isfinite(cloud.thermal_counts)

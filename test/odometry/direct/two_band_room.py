@@ -67,15 +67,15 @@ class Room:
 
 def swaying(count: int) -> np.ndarray:
     """(N, 4, 4) T_world_rig of hands that turn and move the rig, from rest."""
-    poses = []
-    for i in range(count):
-        t = 0.05 * i
-        ramp = min(1.0, t)
-        angles = [0.15 * np.sin(1.7 * t), 0.4 * np.sin(1.3 * t), 0.2 * np.sin(2.1 * t)]
-        place = [0.25 * np.sin(1.1 * t), 0.12 * np.sin(1.9 * t), 0.2 * np.sin(0.8 * t)]
-        turn = exp_so3(ramp * np.array(angles))
-        poses.append(make_transform(turn, ramp * np.array(place)))
-    return np.stack(poses)
+    return np.stack([sway(0.05 * i) for i in range(count)])
+
+
+def sway(t_s: float) -> np.ndarray:
+    """(4, 4) T_world_rig of ``swaying`` at a time."""
+    ramp = min(1.0, max(0.0, t_s))
+    angles = [0.15 * np.sin(1.7 * t_s), 0.4 * np.sin(1.3 * t_s), 0.2 * np.sin(2.1 * t_s)]
+    place = [0.25 * np.sin(1.1 * t_s), 0.12 * np.sin(1.9 * t_s), 0.2 * np.sin(0.8 * t_s)]
+    return make_transform(exp_so3(ramp * np.array(angles)), ramp * np.array(place))
 
 
 def sliding(count: int) -> np.ndarray:

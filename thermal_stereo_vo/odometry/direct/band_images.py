@@ -18,6 +18,8 @@ from thermal_stereo_vo.odometry.direct.gradient_pyramid import (
 from thermal_stereo_vo.odometry.direct.rig import Rig
 
 _LEAST_USABLE_SHARE = 0.05
+_FLAT = 1.0
+"""Contrast of a scene is 60."""
 
 
 def usable_roles(frame: RigFrame, roles: Sequence[str]) -> tuple[str, ...]:
@@ -84,7 +86,9 @@ class BandImages:
         rho: float,
         rig: Rig,
     ) -> GradientPyramid | None:
-        """Pyramid of one camera, until the next one of it is asked for; None where it is blind.
+        """Pyramid of one camera, until the next one of it is asked for.
+
+        None where it is blind, or its picture is all black or white.
 
         With the rig's ``velocity`` (6,) per second images of bolometers lose their smear.  It is in
         one unit with the inverse depth ``rho`` of the scene and the lever arms of ``rig``.
@@ -102,4 +106,4 @@ class BandImages:
             image, self._smoothing_px, self._units[camera], self._room[camera]
         )
         self._room[camera] = room
-        return room
+        return None if float(room[-1][..., 0].std()) < _FLAT else room

@@ -371,7 +371,8 @@ class BandMap:
         if off_rad is not None:
             self.rig_fault = (
                 f"the {self._images.roles[1]} camera does not move as the calibration of the rig "
-                f"says, by about {np.degrees(off_rad):.1f} deg or more: calibrate the rig again"
+                f"says, by about {np.degrees(off_rad):.1f} deg or more: calibrate the rig "
+                "again, or check the stamps of its cameras"
             )
 
     def _watch(self, solution: PhotometricSolution) -> None:
