@@ -3,7 +3,8 @@
 After Stereo DSO (Wang, Schwoerer & Cremers, ICCV 2017): points take their depth from the other eye
 of their keyframe, frames are aligned with all points of a window of keyframes, and the window is
 adjusted on the brightness of both eyes while the next image is on its way.  Old keyframes leave
-together with their points; the oldest that is left is held.
+with their points and what those say of the others stays as a prior; the oldest that is left is
+held.
 """
 
 from __future__ import annotations
@@ -80,10 +81,25 @@ class DirectKeyframeConfig:
 
 
 @dataclass(frozen=True)
+class StereoPhotometricConfig(PhotometricConfig):
+    """How brightness is compared between the eyes, and over time."""
+
+    marginal_weight: float = setting(
+        1.0,
+        "What the residuals of a keyframe that leaves the window count from then on (marginalised, "
+        "with first-estimate Jacobians); 0 forgets them.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
 class DirectConfig:
     """Direct odometry."""
 
-    photometric: PhotometricConfig = group(PhotometricConfig, "How brightness is compared.")
+    photometric: StereoPhotometricConfig = group(
+        StereoPhotometricConfig, "How brightness is compared."
+    )
     selection: SelectionConfig = group(SelectionConfig, "Which pixels become points.")
     keyframes: DirectKeyframeConfig = group(DirectKeyframeConfig, "When a frame is kept.")
     covariance_scale: float = setting(
