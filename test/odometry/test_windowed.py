@@ -106,6 +106,17 @@ def test_less_of_the_scale_is_unsure_where_the_yaw_is_refined(flight, settings, 
     np.testing.assert_allclose(more[3:], 0.0, atol=1e-9)
 
 
+def test_the_factor_on_covariances_reaches_those_of_adjusted_keyframes(flight):
+    _, frames = flight
+    certain = ("status.scale_sigma=0", "status.bolometer_lag_sigma_ms=0")
+    _, once = fly(frames, *certain)
+    _, twice = fly(frames, *certain, "windowed.covariance_scale=4")
+    assert len(keyframes(once)) >= 3
+    # Not to the last digit: what a keyframe leaves behind is kept positive.
+    wanted = 4.0 * once[-1].covariance
+    np.testing.assert_allclose(twice[-1].covariance, wanted, rtol=0.05, atol=1e-9)
+
+
 def test_turning_on_the_spot_makes_keyframes_but_no_way(room):
     rng = np.random.default_rng(3)
     poses = room.path(10, (0.0, 0.0, 0.0, 0.0, 0.05, 0.0))

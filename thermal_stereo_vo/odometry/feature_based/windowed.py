@@ -510,6 +510,8 @@ class WindowedOdometry:
         self._keyframe_count = completed.points
         solution = completed.bundle
         if solution is not None:
+            covariance = self._config.covariance_scale * solution.covariance
+            solution = replace(solution, covariance=covariance)
             window.apply(solution, completed.index, self._config.tracking.outlier_sigmas)
             self._extrinsics.learn(window, solution)
             window.right_turn_rad = self._extrinsics.turn_rad
