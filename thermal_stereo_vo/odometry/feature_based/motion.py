@@ -38,7 +38,7 @@ class MotionConfig:
         maximum=50.0,
     )
     inlier_medians: float = setting(
-        3.0,
+        5.0,
         "And in medians of the inliers' errors, where that is less: sharp features show what is "
         "wrong by less than inlier_px. 0 never asks for less (P1).",
         minimum=0.0,
