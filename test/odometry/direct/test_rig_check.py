@@ -152,3 +152,11 @@ def test_one_wild_window_tells_nothing():
     for degrees in (0.1, -0.1, 0.05, 0.0, 6.0):
         check.add(Turn(np.radians([degrees, 0.0, 0.0]), 1e6 * np.eye(3)))
     assert check.off_rad() is None
+
+
+@pytest.mark.parametrize("has_told_scale", [False, True])
+def test_a_camera_that_has_told_the_scale_is_not_upside_down(has_told_scale):
+    check = RigCheck(np.radians(1.0))
+    for _ in range(4):
+        check.add(Turn(np.zeros(3), np.eye(3), is_half=True), has_told_scale=has_told_scale)
+    assert check.off_rad() == (None if has_told_scale else np.pi)

@@ -62,9 +62,14 @@ class RigCheck:
         self._limit_rad = limit_rad
         self._recent: deque[Turn] = deque(maxlen=_MEMORY)
 
-    def add(self, turn: Turn) -> None:
-        """Take in what a window said."""
-        self._recent.append(turn)
+    def add(self, turn: Turn, *, has_told_scale: bool = False) -> None:
+        """Take in what a window said.
+
+        A camera that has told the scale is neither upside down nor mirrored: a later window that
+        looks so shows too little.
+        """
+        if not (turn.is_half and has_told_scale):
+            self._recent.append(turn)
 
     def off_rad(self) -> float | None:
         """By how much the camera is turned against the rig; None while it may well be right."""
