@@ -238,6 +238,14 @@ def squared_errors(T, point, pixel, camera):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def worse_error(T, point, pixel, camera):  # type: ignore[no-untyped-def]
+    """The larger squared reprojection error (px^2) of both eyes; infinite behind them."""
+    left, right = squared_errors(T, point, pixel, camera)
+    # NaN is larger than any threshold, whichever eye it is in.
+    return max(left, right) if left >= 0.0 and right >= 0.0 else np.inf
+
+
+@njit(cache=True, nogil=True)
 def truncated_cost(T, points, observed, camera, inlier_px2):  # type: ignore[no-untyped-def]
     """How many points reproject within the threshold in both eyes, and what all cost together.
 
@@ -245,10 +253,10 @@ def truncated_cost(T, points, observed, camera, inlier_px2):  # type: ignore[no-
     """
     count, cost = 0, 0.0
     for i in range(len(points)):
-        left, right = squared_errors(T, points[i], observed[i], camera)
-        if left < inlier_px2 and right < inlier_px2:
+        error = worse_error(T, points[i], observed[i], camera)
+        if error < inlier_px2:
             count += 1
-            cost += max(left, right)
+            cost += error
         else:
             cost += inlier_px2
     return count, cost
@@ -259,7 +267,5 @@ def worse_errors(T, points, observed, camera):  # type: ignore[no-untyped-def]
     """(N,) the larger squared reprojection error (px^2) of both eyes; infinite behind them."""
     errors = np.empty(len(points))
     for i in range(len(points)):
-        left, right = squared_errors(T, points[i], observed[i], camera)
-        # NaN is larger than any threshold, whichever eye it is in.
-        errors[i] = max(left, right) if left >= 0.0 and right >= 0.0 else np.inf
+        errors[i] = worse_error(T, points[i], observed[i], camera)
     return errors
