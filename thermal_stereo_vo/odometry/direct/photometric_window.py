@@ -217,27 +217,24 @@ class PhotometricWindow:
         self._drop(np.flatnonzero(self._hosts == slot))
         self.poses.drop(slot)
 
-    def marginalise(self, slot: int, config: PhotometricConfig, *, across: bool = True) -> None:
-        """Forget a keyframe and its points, but not what they say of the other keyframes.
-
-        ``across`` as for ``problem``.
-        """
-        if config.marginal_weight > 0.0:
-            mine = self.points()
-            mine = mine.take(np.flatnonzero(mine.hosts == slot))
-            problem, _ = self.problem(across=across, points=mine)
-            self._prior = left_behind(
-                problem,
-                self.poses.order.index(slot),
-                huber=config.huber,
-                gate=config.gate,
-                weight=config.marginal_weight,
-            )
-            # The keyframe itself is out of the prior already.
-            self._drop(mine.index)
-            self.poses.drop(slot)
-        else:
+    def marginalise(self, slot: int, config: PhotometricConfig) -> None:
+        """Forget a keyframe and its points, but not what they say of the other keyframes."""
+        if config.marginal_weight == 0.0:
             self.drop_keyframe(slot)
+            return
+        mine = self.points()
+        mine = mine.take(np.flatnonzero(mine.hosts == slot))
+        problem, _ = self.problem(points=mine)
+        self._prior = left_behind(
+            problem,
+            self.poses.order.index(slot),
+            huber=config.huber,
+            gate=config.gate,
+            weight=config.marginal_weight,
+        )
+        # The keyframe itself is out of the prior already.
+        self._drop(mine.index)
+        self.poses.drop(slot)
 
     def forget_prior(self) -> None:
         """Believe no longer what keyframes said that have left."""
