@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from thermal_stereo_vo.odometry.clustered_covariance import clustered_covariance, scatter_steps
 from thermal_stereo_vo.odometry.feature_based.bundle_adjustment import (
     adjust_bundle,
     linearise_bundle,
 )
-from thermal_stereo_vo.odometry.feature_based.point_scatter import (
-    clustered_covariance,
-    point_pulls,
-    scatter_steps,
-)
+from thermal_stereo_vo.odometry.feature_based.point_scatter import point_pulls
 from thermal_stereo_vo.odometry.information import inverse_information
 
 from .window_problems import TURN, eyes_of, make_window, mean_nees_band, poses_apart
@@ -97,6 +94,10 @@ def test_independent_pulls_give_the_noise_back(rng):
     np.testing.assert_allclose(factor.T @ covariance @ factor, 0.09 * np.eye(12), atol=0.009)
     steeper = clustered_covariance(information, unit, pulls, 0.5, FLOOR_PX)
     np.testing.assert_allclose(steeper, 4.0 * covariance, rtol=1e-9)
+    # Half of the points have gone, and left only the sum of what they pulled.
+    behind = pulls[2000:].T @ pulls[2000:]
+    half = clustered_covariance(information, unit, pulls[:2000], 1.0, FLOOR_PX, behind)
+    np.testing.assert_allclose(half, covariance, rtol=0.02, atol=0.02 * np.abs(covariance).max())
 
 
 @pytest.mark.parametrize(

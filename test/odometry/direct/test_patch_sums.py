@@ -55,10 +55,10 @@ def seen(rng):
     return {"image": image, "patch": patch, "r": r, "J": J, "view": view, "G": G, "step": step}
 
 
-def compared(seen, trusts):
+def compared(seen, trusts, huber=HUBER):
     r, weights = np.empty(8), np.empty(8)
     energy = compare_patch(
-        seen["view"], seen["patch"], trusts, GAIN, B_HOST, B_TARGET, HUBER, r, weights
+        seen["view"], seen["patch"], trusts, GAIN, B_HOST, B_TARGET, huber, r, weights
     )
     return energy, r, weights
 
@@ -96,10 +96,10 @@ def equations(J, r, weights):
     return J.T @ (weights[:, None] * J), J.T @ (weights * r)
 
 
-def gathered(seen, r, weights, at_home=None):
+def gathered(seen, r, weights, at_home=None, looseness=0.0):
     sums, w, tail = np.empty(SUMS), np.empty(10), np.empty(2)
     H, v = np.zeros((3, 10, 10)), np.zeros((3, 10))
-    gather_patch(seen["view"], seen["patch"], GAIN, B_HOST, r, weights, sums)
+    gather_patch(seen["view"], seen["patch"], GAIN, B_HOST, looseness, r, weights, sums)
     add_slopes(seen["G"], sums, 0, 1, H, v, w, tail)
     if at_home is not None:
         add_slopes_at_home(
@@ -128,6 +128,30 @@ def test_gathered_equations_are_those_of_all_pixels(seen, rng):
     _, r, weights = compared(seen, rng.uniform(0.3, 1.0, 8))
     seen["G"][:, BY_LAG] = rng.normal(size=2)
     expect(gathered(seen, r, weights), columns(seen), r, weights)
+
+
+def test_what_a_patch_is_off_as_a_whole_is_eliminated(seen, rng):
+    """As one more unknown of each patch, held at zero by its prior: the dense form."""
+    trusts, looseness, wide = rng.uniform(0.3, 1.0, 8), 1.7, 1e6
+    seen["G"][:, BY_LAG] = rng.normal(size=2)
+    energy, r, weights = compared(seen, trusts, wide)
+    W = np.diag(trusts)
+    ones = np.ones((8, 1))
+    whole = W - W @ ones @ np.linalg.inv(ones.T @ W @ ones + 1.0 / looseness) @ ones.T @ W
+    J = columns(seen)
+    H, b = J.T @ whole @ J, J.T @ whole @ r
+    scale = np.sqrt(np.diag(J.T @ W @ J))
+    both = np.outer(scale, scale)
+    upper, v, w, tail = gathered(seen, r, weights, looseness=looseness)
+    given = seen["view"], seen["patch"], GAIN, B_HOST, looseness, r, weights
+    explained = gather_patch(*given, np.empty(SUMS))
+    np.testing.assert_allclose(upper / both[:10, :10], np.triu(H[:10, :10]) / both[:10, :10],
+                               atol=1e-10)  # fmt: skip
+    np.testing.assert_allclose(v / scale[:10], -b[:10] / scale[:10], atol=1e-9)
+    np.testing.assert_allclose(w / scale[:10], H[:10, 10] / scale[:10], atol=1e-9 * scale[10])
+    np.testing.assert_allclose(tail, [H[10, 10], b[10]], rtol=1e-8)
+    assert explained == pytest.approx(energy - r @ whole @ r)
+    assert explained > 0.1 * energy
 
 
 def test_where_the_patch_itself_moves_too(seen, rng):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from thermal_stereo_vo.core.transforms import exp_se3, inverse, log_se3
+from thermal_stereo_vo.evaluation.consistency import nees_band
 from thermal_stereo_vo.odometry.direct.photometric import take_patches
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     HOLD,
@@ -86,12 +87,36 @@ def test_reduced_equations_are_those_of_the_dense_problem(rng, bands):
     np.testing.assert_allclose(found.cost, cost, rtol=1e-4)
 
 
-def one_world(rng):
-    """Keyframes of one and the same plane at 3 m, drawn by shifting one smooth image."""
+@pytest.mark.parametrize("bands", [False, True])
+def test_each_point_pulls_as_if_it_were_alone_and_together_they_pull_as_all(rng, bands):
+    problem = replace(window_problem(rng, points=24), bands=bands, looseness=0.0 if bands else 0.5)
+    at = problem.T_k_w, problem.brightness
+    found = _Equations.of(problem)
+    pulls = np.full_like(found.W, np.nan)
+    given = 0.0, 0.0, HUBER, GATE
+    _linearise(problem, *at, problem.rhos, *given, found, pulls=pulls)
+    size = np.abs(pulls).max()
+    for n in range(24):
+        alone = problem.take(np.arange(24) == n)
+        own = _Equations.of(alone)
+        _linearise(alone, *at, alone.rhos, *given, own)
+        np.testing.assert_allclose(pulls[n], own.g, rtol=1e-6, atol=1e-9 * size)
+    np.testing.assert_allclose(pulls.sum(axis=0), found.g, rtol=1e-6, atol=1e-9 * size)
+    assert 0.1 < found.steepness < 0.95
+    _linearise(problem, *at, problem.rhos, 0.0, 0.0, 1e6, GATE, found, pulls=pulls)
+    assert found.steepness == 1.0
+
+
+def one_world(rng, finer=1.0):
+    """Keyframes of one and the same plane at 3 m, drawn by shifting one smooth image.
+
+    Its waves are 57 to 125 px long, or ``finer`` by a factor.
+    """
     problem = window_problem(rng, points=60, keyframes=3)
     y, x = np.mgrid[:120, :160].astype(float)
     waves = [
-        (rng.uniform(0.05, 0.11), *rng.uniform(0, 7, 2), rng.uniform(20, 30)) for _ in range(6)
+        (finer * rng.uniform(0.05, 0.11), *rng.uniform(0, 7, 2), rng.uniform(20, 30))
+        for _ in range(6)
     ]
 
     def draw(u, v):
@@ -160,6 +185,73 @@ def test_it_finds_poses_depths_and_brightness(rng):
     seen[..., 1] = False
     mono = adjust_photometrically(replace(wrong, seen=seen), huber=9.0, gate=14.0, iterations=2)
     assert mono is None or np.linalg.eigvalsh(mono.covariance)[-1] > 100 * values[-1]
+
+
+def with_images(problem, change):
+    """The same with changed images, and patches taken from those."""
+    images = tuple(np.ascontiguousarray(change(stack)) for stack in problem.images)
+    patches, trusts = np.zeros_like(problem.patches), np.zeros_like(problem.trusts)
+    pixels = problem.bearings[:, :2] * 150.0 + [80.0, 60.0]
+    for n, host in enumerate(problem.hosts):
+        own = slice(n, n + 1)
+        take_patches(images[0][host], pixels[own], 1.0, 50.0, patches[own], trusts[own])
+    return replace(problem, images=images, patches=patches, trusts=trusts)
+
+
+def poses_off(found, true):
+    return np.concatenate([log_se3(a @ inverse(b)) for a, b in zip(found, true, strict=True)])
+
+
+@pytest.mark.parametrize("looseness", [0.0, 2.0])
+def test_poses_err_as_claimed(looseness):
+    """Noise that patches of a keyframe carry into all others: points are the clusters."""
+    runs, values, sizes = 40, [], []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+
+        def noisy(stack, rng=rng):
+            out = stack.copy()
+            out[..., 0] += 1.5 * rng.normal(size=stack.shape[:3])
+            return out
+
+        truth = one_world(np.random.default_rng(7))
+        problem = replace(with_images(truth, noisy), looseness=looseness)
+        solution = adjust_photometrically(problem, huber=9.0, gate=14.0, iterations=15)
+        off = poses_off(solution.T_k_w[1:], truth.T_k_w[1:])
+        for k in (0, 6):
+            block = slice(k, k + 6)
+            own = solution.covariance[block, block]
+            values.append(off[block] @ np.linalg.solve(own, off[block]))
+            sizes.append(np.sqrt(np.trace(own[:3, :3])) / np.linalg.norm(off[block][:3]))
+    low, high = nees_band(runs, 6, 0.99)
+    # Residuals are smaller than the noise: each point has fitted its own depth to them.
+    assert low < np.mean(values) < 1.35 * high
+    assert 0.5 < np.median(sizes) < 2.0
+
+
+def test_shading_that_stays_with_the_sensor_is_no_motion(rng):
+    truth = one_world(rng, finer=4.0)
+    y, x = np.mgrid[:120, :160].astype(np.float32)
+
+    def shaded(stack):
+        out = stack.copy()
+        out[..., 0] += 2e-3 * ((x - 80) ** 2 + (y - 60) ** 2)
+        out[..., 1] += 4e-3 * (x - 80)
+        out[..., 2] += 4e-3 * (y - 60)
+        return out
+
+    moved_by_it = []
+    for looseness in (0.0, 2.0, 100.0):
+        found = [
+            adjust_photometrically(
+                replace(problem, looseness=looseness), huber=9.0, gate=14.0, iterations=15
+            ).T_k_w
+            for problem in (truth, with_images(truth, shaded))
+        ]
+        moved_by_it.append(np.linalg.norm(poses_off(*found)))
+    assert 3e-3 < moved_by_it[0] < 0.1
+    assert moved_by_it[1] < 0.6 * moved_by_it[0]
+    assert moved_by_it[2] < 0.5 * moved_by_it[1]
 
 
 def test_a_patch_that_does_not_fit_pulls_nothing(rng):

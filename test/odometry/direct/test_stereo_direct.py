@@ -77,11 +77,18 @@ def test_either_eye_carries_on_alone(flight, blind):
 
 
 def test_the_window_pays(flight):
-    """More keyframes, adjusted together, are no worse than two."""
+    """More keyframes, adjusted together, are no worse than two.
+
+    No patch of this room is off as a whole, and to allow for that costs more than keyframes gain.
+    """
     frames, poses = flight
     ends = []
     for window in (2, 7):
-        odometry = direct(f"window={window}", "direct.keyframes.parallax_px=1")
+        odometry = direct(
+            f"window={window}",
+            "direct.keyframes.parallax_px=1",
+            "direct.photometric.patch_offset=0",
+        )
         results = [odometry.process(frame) for frame in frames]
         assert sum(result.stats.keyframe for result in results) >= 4
         ends.append(error_m(results[-1], poses[-1]))

@@ -64,9 +64,10 @@ def test_marginalising_first_gives_what_solving_all_at_once_gives(rng):
     before[-2:] = 0.0, 2e-3
     prior = WindowPrior.nothing(T, light, 0.01)
     J, y = rows[0], sights[0]
-    prior = prior.grown(J.T @ J, J.T @ y, T, light, 0.01)
+    prior = prior.grown(J.T @ J, J.T @ y, T, light, 0.01, J * y[:, None])
     J, y = rows[1], sights[1] - rows[1] @ before
-    prior = prior.grown(J.T @ J, J.T @ y, *moved(T, light, before), 0.01 + before[-1])
+    there = *moved(T, light, before), 0.01 + before[-1]
+    prior = prior.grown(J.T @ J, J.T @ y, *there, J * y[:, None])
     prior = prior.without(1)
     stay = np.ones(U, bool)
     stay[SIZE : 2 * SIZE] = False
@@ -166,7 +167,7 @@ def test_keyframes_move_pixels_as_at_their_first_estimates(rng):
     light = problem.brightness + 0.05 * rng.normal(size=(K, C, 2))
     J = rng.normal(size=(200, U))
     prior = WindowPrior.nothing(then, light, 0.015)
-    prior = prior.grown(J.T @ J, J.T @ rng.normal(size=200), then, light, 0.015)
+    prior = prior.grown(J.T @ J, J.T @ rng.normal(size=200), then, light, 0.015, J)
     at = problem.T_k_w, problem.brightness, problem.rhos, 0.0, 0.0
     problem = replace(problem, bolometers=np.array([False, True]))
     alone, both = _Equations.of(problem), _Equations.of(problem)
@@ -189,7 +190,7 @@ def test_another_unit_changes_nothing_but_the_unit(rng):
     J = rng.normal(size=(80, U))
     J[:, -2] = 0.0
     prior = WindowPrior.nothing(T, light, 0.0).grown(
-        J.T @ J, J.T @ rng.normal(size=80), T, light, 0
+        J.T @ J, J.T @ rng.normal(size=80), T, light, 0, J
     )
     now = moved(T, light, 0.1 * rng.normal(size=U))
     about_m, factor = np.array([1.0, -2.0, 0.5]), 3.5
@@ -209,13 +210,15 @@ def test_another_unit_changes_nothing_but_the_unit(rng):
     again = prior.rescaled(factor, about_m)
     assert cost(again, larger(now[0])) == pytest.approx(cost(prior, now[0]), rel=1e-9)
     assert cost(again, now[0]) != pytest.approx(cost(prior, now[0]), rel=1e-3)
+    # These pulls scatter as the equations say, in any unit.
+    np.testing.assert_allclose(again.scatter, again.H, rtol=1e-9)
 
 
 def test_a_new_keyframe_is_not_known(rng):
     T, light = state(rng)
     J = rng.normal(size=(80, U))
     prior = WindowPrior.nothing(T, light, 0.0).grown(
-        J.T @ J, J.T @ rng.normal(size=80), T, light, 0
+        J.T @ J, J.T @ rng.normal(size=80), T, light, 0, J
     )
     more = prior.with_newest(np.eye(4), np.ones((C, 2)))
     np.testing.assert_array_equal(more.known, [True] * K + [False])
@@ -227,3 +230,28 @@ def test_a_new_keyframe_is_not_known(rng):
     back = more.without(K)
     np.testing.assert_allclose(back.H, prior.H)
     np.testing.assert_allclose(back.b, prior.b)
+    np.testing.assert_allclose(back.scatter, prior.scatter)
+
+
+def test_what_points_that_left_disagreed_by_is_known_of_those_that_stay(rng):
+    """Redraw the pulls many times: the right side that is left scatters as the prior says."""
+    T, light = state(rng)
+    J = rng.normal(size=(120, U))
+    J[:, -2] = 0.0
+    spread = rng.uniform(0.2, 3.0, 120)
+    rights, scatters = [], []
+    for _ in range(400):
+        y = spread * rng.normal(size=120)
+        prior = WindowPrior.nothing(T, light, 0.0)
+        prior = prior.grown(J.T @ J, J.T @ y, T, light, 0.0, J * y[:, None]).without(1)
+        rights.append(prior.b)
+        scatters.append(prior.scatter)
+    found, told = np.cov(np.array(rights).T), np.mean(scatters, axis=0)
+    known = np.diag(told) > 0.0
+    assert known.sum() == U - SIZE - 1
+    size = np.sqrt(np.diag(told)[known])
+    of_noise = (found[np.ix_(known, known)] / np.outer(size, size)) - (
+        told[np.ix_(known, known)] / np.outer(size, size)
+    )
+    np.testing.assert_allclose(of_noise, 0.0, atol=0.3)
+    np.testing.assert_allclose(np.mean(np.diag(of_noise)), 0.0, atol=0.05)

@@ -59,16 +59,17 @@ class Alignment:
 def linearise_frame(  # type: ignore[no-untyped-def]
     T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
     T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-    steps, patches, trusts, bands, bolometers, huber, gate, free_depth, A, g, energies
+    steps, patches, trusts, bands, bolometers, looseness, huber, gate, free_depth, A, g, energies
 ):  # fmt: skip
     """Normal equations of pose and brightness of one frame at one pyramid level.
 
     ``images`` one (1, H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
     (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (slots, C, 4, 4) rig from
-    camera; points sorted by host.  With ``bands`` a point is only looked for with the camera that
-    hosts it; in the images of ``bolometers`` (C,) residuals count as they weigh.  With
-    ``free_depth`` inverse depths move too, held by ``rho_information`` (N,), and are eliminated.  A
-    patch with a mean squared residual above ``gate`` squared costs that much and pulls no more.
+    camera; points sorted by host; ``looseness`` as for ``gather_patch``.  With ``bands`` a point
+    is only looked for with the camera that hosts it; in the images of ``bolometers`` (C,) residuals
+    count as they weigh.  With ``free_depth`` inverse depths move too, held by ``rho_information``
+    (N,), and are eliminated.  A patch with a mean squared residual above ``gate`` squared costs
+    that much and pulls no more.
     Writes A, g and ``energies`` (C, N); returns the mean cost of what is seen (infinite where
     nothing is) and how much that is.
     """
@@ -132,7 +133,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
                 continue
             total += energy
             touched = True
-            gather_patch(view, patch, gain, b_host, r, weights, sums)
+            total -= gather_patch(view, patch, gain, b_host, looseness, r, weights, sums)
             middle_slopes(T, 0, T_camera_rig, c, arms, bearings[n, 0], bearings[n, 1], rhos[n], G)
             x_rho, y_rho = G[0, BY_RHO], G[1, BY_RHO]
             tx_rho = sums[XX] * x_rho + sums[XY] * y_rho
@@ -187,7 +188,8 @@ def invert(T, out):  # type: ignore[no-untyped-def]
 def align_frame(  # type: ignore[no-untyped-def]
     T_rig_world, brightness, images, use, cameras, T_camera_rig, scale,
     T_host_world, host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-    steps, patches, trusts, bands, bolometers, huber, gate, free_depth, iterations, A, g, energies
+    steps, patches, trusts, bands, bolometers, looseness, huber, gate, free_depth, iterations, A,
+    g, energies
 ):  # fmt: skip
     """Levenberg-Marquardt at one level, in place; returns the cost, what was seen, iterations."""
     C = len(use)
@@ -199,7 +201,7 @@ def align_frame(  # type: ignore[no-untyped-def]
     cost, seen = linearise_frame(
         T_rig_world, brightness, images, use, cameras, T_camera_rig, scale, T_host_world,
         host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information, steps,
-        patches, trusts, bands, bolometers, huber, gate, free_depth, A, g, energies,
+        patches, trusts, bands, bolometers, looseness, huber, gate, free_depth, A, g, energies,
     )  # fmt: skip
     done = 0
     for iteration in range(iterations):
@@ -218,8 +220,8 @@ def align_frame(  # type: ignore[no-untyped-def]
         new_cost, new_seen = linearise_frame(
             T_new, brightness_new, images, use, cameras, T_camera_rig, scale, T_host_world,
             host_brightness, T_rig_host, hosts, host_cameras, bearings, rhos, rho_information,
-            steps, patches, trusts, bands, bolometers, huber, gate, free_depth, A_new, g_new,
-            energies_new,
+            steps, patches, trusts, bands, bolometers, looseness, huber, gate, free_depth, A_new,
+            g_new, energies_new,
         )  # fmt: skip
         # A step that only shows fewer patches is no better.
         if new_cost < cost and 2 * new_seen > seen:

@@ -215,8 +215,9 @@ class _Attempt:
             window.poses.T_k_w, window.brightness, self._T_rig_host, points.hosts,
             points.host_cameras, points.bearings, points.rhos, points.rho_information,
             window.rig.steps * 2.0**level, *window.patches(points, level), window.rig.bands,
-            window.rig.bolometers, config.huber, config.gate * (1.0 + level), level == 0,
-            config.iterations, self._A, self._g, self._energies,
+            window.rig.bolometers, window.looseness, config.huber,
+            config.gate * (1.0 + level), level == 0, config.iterations, self._A, self._g,
+            self._energies,
         )  # fmt: skip
         self.iterations += int(iterations)
 

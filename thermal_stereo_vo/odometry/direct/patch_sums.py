@@ -87,8 +87,13 @@ def compare_patch(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def gather_patch(view, patch, gain, b_host, r, weights, sums):  # type: ignore[no-untyped-def]
-    """Write ``sums`` (SUMS,) of a patch; the derivative by a is -gain (patch - b), by b -1."""
+def gather_patch(view, patch, gain, b_host, looseness, r, weights, sums):  # type: ignore[no-untyped-def]
+    """Write ``sums`` (SUMS,) of a patch; the derivative by a is -gain (patch - b), by b -1.
+
+    A patch may be off as a whole: that is an unknown of its own, eliminated here (Schur
+    complement).  ``looseness`` is its variance relative to a pixel's own (0 holds it at zero).
+    Returns what of the energy is explained by it.
+    """
     xx = xy = yy = xa = xb = ya = yb = aa = ab = bb = xr = yr = ar = br = 0.0
     for k in range(PIXELS):
         w, x, y = weights[k], view[1, k], view[2, k]
@@ -108,6 +113,20 @@ def gather_patch(view, patch, gain, b_host, r, weights, sums):  # type: ignore[n
         yr += wy * r[k]
         ar += wa * r[k]
         br -= wr
+    # The derivative by the patch's own offset is that by b.
+    share = looseness / (1.0 + looseness * bb)
+    xx -= share * xb * xb
+    xy -= share * xb * yb
+    yy -= share * yb * yb
+    xa -= share * xb * ab
+    ya -= share * yb * ab
+    aa -= share * ab * ab
+    xr -= share * xb * br
+    yr -= share * yb * br
+    ar -= share * ab * br
+    explained = share * br * br
+    own = 1.0 - share * bb
+    xb, yb, ab, bb, br = own * xb, own * yb, own * ab, own * bb, own * br
     sums[XX], sums[XY], sums[YY], sums[XA], sums[XB], sums[YA], sums[YB] = (
         xx,
         xy,
@@ -126,6 +145,7 @@ def gather_patch(view, patch, gain, b_host, r, weights, sums):  # type: ignore[n
         ar,
         br,
     )
+    return explained
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import solve_positive
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
+from thermal_stereo_vo.odometry.clustered_covariance import clustered_covariance
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 from thermal_stereo_vo.odometry.direct.rig import with_arms
 from thermal_stereo_vo.odometry.direct.window_equations import POSE, linearise_window
@@ -28,6 +29,8 @@ HOLD = 1e8
 _BRIGHTNESS_DAMPING = 1.0
 """Holds brightness that nothing shows, as that of a camera that was blind."""
 _MOST_SCALE_STEP = 0.2
+_LEAST_NOISE = 0.1
+"""In units of brightness; less is never believed."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class PhotometricProblem:
     residuals there are.  With ``bands`` the other camera compares its own two views of a point, for
     its patches again with ``trust_gradient``.  ``bolometers`` (C,) bool: those are late, and
     patches of theirs may be so steep that residuals count as they weigh, not by their size.
-    ``prior`` is what keyframes that left still say.
+    ``prior`` is what keyframes that left still say; ``looseness`` as for ``gather_patch``, only
+    without ``bands``.
     """
 
     images: tuple[NDArray[np.float32], ...]
@@ -67,6 +71,7 @@ class PhotometricProblem:
     bolometers: NDArray[np.bool_]
     trust_gradient: float
     prior: WindowPrior | None = None
+    looseness: float = 0.0
 
     def take(self, chosen: NDArray[np.bool_]) -> PhotometricProblem:
         """The same keyframes with the ``chosen`` (N,) points, without the prior."""
@@ -126,6 +131,7 @@ class _Equations:
     b_rho: NDArray[np.float64]
     energies: NDArray[np.float64]
     cost: float = 0.0
+    steepness: float = 1.0
 
     @classmethod
     def of(cls, problem: PhotometricProblem) -> _Equations:
@@ -207,6 +213,18 @@ def adjust_photometrically(
     is_pose = ((kind >= 0) & (kind < POSE))[free]
     sigma = noise_of(now.energies, gate)
     covariance = sigma**2 * unit_covariance
+    if not problem.bands:
+        pulls = np.zeros_like(now.W)
+        _linearise(problem, T, brightness, rhos, log_scale, lag_s, huber, gate, then, pulls=pulls)
+        scattered = clustered_covariance(
+            A[np.ix_(free, free)],
+            unit_covariance,
+            np.ascontiguousarray(pulls[:, free]),
+            then.steepness,
+            _LEAST_NOISE,
+            None if problem.prior is None else problem.prior.scatter[np.ix_(free, free)],
+        )
+        covariance = covariance if scattered is None else scattered
     at = -1 - int(free_lag)
     scale_sigma = float(np.sqrt(covariance[at, at])) if free_scale else 0.0
     if problem.bands and not free_scale:
@@ -294,6 +312,7 @@ def _linearise(
     gate: float,
     out: _Equations,
     slopes: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    pulls: NDArray[np.float64] | None = None,
 ) -> None:
     T_rig_camera = with_arms(problem.T_rig_camera, np.exp(-log_scale))
     late = problem.bolometers.astype(np.float64)
@@ -302,12 +321,13 @@ def _linearise(
         prior = problem.prior
         slopes = (T, brightness) if prior is None else prior.slopes_at(T, brightness)
     T_slopes, brightness_slopes = slopes
-    out.cost = linearise_window(
+    out.cost, out.steepness = linearise_window(
         problem.images, problem.slots, T, problem.twists, late, T_then_now, brightness, T_slopes,
         brightness_slopes, problem.cameras, T_rig_camera, problem.hosts, problem.host_cameras,
         problem.bearings, rhos, problem.rho_priors, problem.prior_information, problem.patches,
         problem.trusts, problem.seen, problem.bands, problem.bolometers, problem.trust_gradient,
-        huber, gate, out.A, out.g, out.W, out.h_rho, out.b_rho, out.energies,
+        problem.looseness, huber, gate, out.A, out.g, out.W, out.h_rho, out.b_rho, out.energies,
+        np.zeros((0, len(out.g))) if pulls is None else pulls,
     )  # fmt: skip
     if problem.prior is not None:
         prior = problem.prior
@@ -332,8 +352,12 @@ def left_behind(
     equations = _Equations.of(own)
     # Where keyframes have first estimates, those say how pixels move.
     slopes = prior.slopes_at(T, brightness)
-    _linearise(own, T, brightness, own.rhos, 0.0, 0.0, huber, gate, equations, slopes)
-    grown = prior.grown(weight * equations.A, weight * equations.g, T, brightness, problem.lag_s)
+    pulls = np.zeros_like(equations.W)
+    _linearise(own, T, brightness, own.rhos, 0.0, 0.0, huber, gate, equations, slopes, pulls)
+    pulls *= weight
+    grown = prior.grown(
+        weight * equations.A, weight * equations.g, T, brightness, problem.lag_s, pulls
+    )
     return grown.without(left)
 
 

@@ -63,14 +63,24 @@ class PhotometricWindow:
     """Fixed room for ``keyframes`` keyframes and ``capacity`` points; slots are used again.
 
     ``brightness`` (slots, C, 2) a and b of each image; ``has_image`` (slots, C), for a camera may
-    be blind at a keyframe; ``stacks`` one (slots, H, W, 3) float32 per camera.
+    be blind at a keyframe; ``stacks`` one (slots, H, W, 3) float32 per camera.  ``patch_offset`` is
+    how far patches may be off as a whole, in standard deviations of a pixel's noise; not between
+    bands.
     """
 
-    def __init__(self, keyframes: int, capacity: int, rig: Rig, trust_gradient: float) -> None:
+    def __init__(
+        self,
+        keyframes: int,
+        capacity: int,
+        rig: Rig,
+        trust_gradient: float,
+        patch_offset: float = 0.0,
+    ) -> None:
         cameras = len(rig.cameras)
         self.rig = rig
         self.poses = KeyframePoses(keyframes)
         self._trust_gradient = trust_gradient
+        self.looseness = patch_offset**2
         self.brightness = np.zeros((keyframes, cameras, 2))
         self.twists = np.zeros((keyframes, 6))
         self.has_image = np.zeros((keyframes, cameras), np.bool_)
@@ -330,6 +340,7 @@ class PhotometricWindow:
                 self.rig.bolometers,
                 self._trust_gradient,
                 self._prior,
+                self.looseness,
             ),
             points,
         )

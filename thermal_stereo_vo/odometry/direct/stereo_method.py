@@ -2,9 +2,9 @@
 
 After Stereo DSO (Wang, Schwoerer & Cremers, ICCV 2017): points take their depth from the other eye
 of their keyframe, frames are aligned with all points of a window of keyframes, and the window is
-adjusted on the brightness of both eyes while the next image is on its way.  Old keyframes leave
-with their points and what those say of the others stays as a prior; the oldest that is left is
-held.
+adjusted on the brightness of both eyes while the next image is on its way.  A patch may be off in
+brightness as a whole, for shading stays with the sensor.  Old keyframes leave with their points and
+what those say of the others stays as a prior; the oldest that is left is held.
 """
 
 from __future__ import annotations
@@ -84,6 +84,13 @@ class DirectKeyframeConfig:
 class StereoPhotometricConfig(PhotometricConfig):
     """How brightness is compared between the eyes, and over time."""
 
+    patch_offset: float = setting(
+        1.5,
+        "How far the brightness of a patch may be off as a whole (1 sigma), relative to the noise "
+        "of a pixel: shading of the optics stays with the sensor while the scene moves on.",
+        minimum=0.0,
+        maximum=100.0,
+    )
     marginal_weight: float = setting(
         1.0,
         "What the residuals of a keyframe that leaves the window count from then on (marginalised, "
@@ -103,7 +110,7 @@ class DirectConfig:
     selection: SelectionConfig = group(SelectionConfig, "Which pixels become points.")
     keyframes: DirectKeyframeConfig = group(DirectKeyframeConfig, "When a frame is kept.")
     covariance_scale: float = setting(
-        8.0,
+        1.0,
         "Factor on covariances for what the residuals do not show.",
         minimum=0.01,
         maximum=1000.0,
@@ -360,8 +367,13 @@ class StereoDirectOdometry:
         if self._unit is None:
             return
         capacity = 4 * self._config.selection.points
+        photometric = self._config.photometric
         window = PhotometricWindow(
-            self._room, capacity, Rig.of([left, right]), self._config.photometric.trust_gradient
+            self._room,
+            capacity,
+            Rig.of([left, right]),
+            photometric.trust_gradient,
+            photometric.patch_offset,
         )
         self._state.prior.forget()
         self._brightness = np.zeros((2, 2))

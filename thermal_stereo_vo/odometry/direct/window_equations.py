@@ -46,8 +46,8 @@ _PAIR, _TAIL, _REFERENCE = 10, 2, 4
 def linearise_window(  # type: ignore[no-untyped-def]
     images, slots, T_k_w, twists, late, T_then_now, brightness, T_slopes, brightness_slopes,
     cameras, T_rig_camera, hosts, host_cameras, bearings, rhos, rho_priors, prior_information,
-    patches, trusts, seen, bands, bolometers, trust_gradient, huber, gate, A, g, W, h_rho, b_rho,
-    energies
+    patches, trusts, seen, bands, bolometers, trust_gradient, looseness, huber, gate, A, g, W,
+    h_rho, b_rho, energies, pulls
 ):  # fmt: skip
     """Reduced normal equations of all keyframes; keeps W, h_rho and b_rho for the depths.
 
@@ -55,8 +55,10 @@ def linearise_window(  # type: ignore[no-untyped-def]
     the equations of each pair are gathered for the target alone and carried over to the host at
     the end of its points.  Residuals and slopes of images are those at ``T_k_w`` and
     ``brightness``; how pixels move with the poses is taken at ``T_slopes`` (K, 4, 4) and
-    ``brightness_slopes`` (K, C, 2), which are the first estimates of what has a prior.  Returns the
-    cost.
+    ``brightness_slopes`` (K, C, 2), which are the first estimates of what has a prior.  ``pulls``
+    (N, U) gets the part of each point in ``g``; without rows nothing is asked.  Returns the cost,
+    and by how much less than the weights say residuals pull as they grow: the mean slope of Huber's
+    influence over its mean weight (Robust Statistics, 1981, sec. 7.6), 1 where nothing is asked.
     """
     K, C = len(T_k_w), len(cameras)
     D = POSE + 2 * C
@@ -89,6 +91,9 @@ def linearise_window(  # type: ignore[no-untyped-def]
     A[:] = 0.0
     g[:] = 0.0
     W[:] = 0.0
+    pulls[:] = 0.0
+    asked, own = len(pulls) > 0, np.empty(_PAIR)
+    slopes = total_weight = 0.0
     cost = 0.0
     limit = gate * gate
     c2 = trust_gradient * trust_gradient
@@ -193,7 +198,13 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         cost += limit * trust
                         continue
                     cost += energy
-                    gather_patch(view, patch, gain, b_slope, r, weights, sums)
+                    cost -= gather_patch(view, patch, gain, b_slope, looseness, r, weights, sums)
+                    if asked:
+                        own[:] = pair_g[pair]
+                        for k in range(PIXELS):
+                            total_weight += weights[k]
+                            if abs(r[k]) <= huber:
+                                slopes += weights[k]
                     middle_slopes(T_slope, t, T_camera_now, pair, arms, x, y, rhos[n], G)
                     for m in range(2):
                         G[m, BY_LAG] = 0.0
@@ -213,6 +224,10 @@ def linearise_window(  # type: ignore[no-untyped-def]
                             G, G_home, view, home, patch, gain, b_slope, r, weights, pair, pair_A,
                             pair_g, w, tail,
                         )  # fmt: skip
+                    if asked:
+                        for i in range(_PAIR):
+                            own[i] = pair_g[pair, i] - own[i]
+                        carry_pull(own, Ad[t], t, h, c, owner, C, gain, pulls[n])
                     h_rho[n] += tail[0]
                     b_rho[n] -= tail[1]
                     if t != h:
@@ -231,7 +246,11 @@ def linearise_window(  # type: ignore[no-untyped-def]
         flush_pairs(h, hc, bands, Ad, slope_gains, pair_A, pair_g, A, g)
         start = stop
     eliminate_points(W, h_rho, b_rho, A, g)
-    return cost
+    for n in range(len(pulls)):
+        if h_rho[n] > 0.0:
+            for i in range(len(g)):
+                pulls[n, i] -= W[n, i] / h_rho[n] * b_rho[n]
+    return cost, slopes / total_weight if total_weight > 0.0 else 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -357,6 +376,25 @@ def eliminate_points(W, h_rho, b_rho, A, g):  # type: ignore[no-untyped-def]
     for i in range(count):
         for m in range(i):
             A[i, m] = A[m, i]
+
+
+@njit(cache=True, nogil=True)
+def carry_pull(own, Ad, t, h, c, owner, cameras, gain, out):  # type: ignore[no-untyped-def]
+    """Add what a patch pulls at its pair, ``own`` (10,), to all unknowns (U,), as ``flush_pairs``.
+
+    Seen by camera ``c`` at ``t``; its brightness is that of ``owner`` at ``h``.
+    """
+    D = POSE + 2 * cameras
+    for i in range(POSE):
+        out[t * D + i] += own[i]
+        for k in range(POSE):
+            out[h * D + i] -= Ad[k, i] * own[k]
+    out[t * D + POSE + 2 * c] += own[6]
+    out[t * D + POSE + 2 * c + 1] += own[7]
+    out[h * D + POSE + 2 * owner] -= own[6]
+    out[h * D + POSE + 2 * owner + 1] -= gain * own[7]
+    out[-2] += own[8]
+    out[-1] += own[9]
 
 
 @njit(cache=True, nogil=True)

@@ -30,6 +30,7 @@ class WindowPrior:
     as in the photometric adjustment: left perturbation of each pose, brightness of each camera, at
     last scale and lag.  ``T_first`` (K, 4, 4) and ``brightness_first`` (K, C, 2) are the first
     estimates, ``lag_first_s`` that of the lag; they mean nothing where nothing is known.
+    ``scatter`` (U, U) is how far ``b`` may be off: the sum of squares of what each point pulled.
     """
 
     H: NDArray[np.float64]
@@ -37,6 +38,7 @@ class WindowPrior:
     T_first: NDArray[np.float64]
     brightness_first: NDArray[np.float64]
     lag_first_s: float
+    scatter: NDArray[np.float64]
 
     @classmethod
     def nothing(
@@ -46,7 +48,8 @@ class WindowPrior:
         K, C = brightness.shape[:2]
         size = K * (POSE + 2 * C) + SHARED
         return cls(
-            np.zeros((size, size)), np.zeros(size), T_k_w.copy(), brightness.copy(), lag_s
+            np.zeros((size, size)), np.zeros(size), T_k_w.copy(), brightness.copy(), lag_s,
+            np.zeros((size, size)),
         )  # fmt: skip
 
     @property
@@ -98,8 +101,9 @@ class WindowPrior:
         T_first = self.T_first.copy()
         moved_m = (1.0 - factor) * about_m
         T_first[:, :3, 3] = factor * T_first[:, :3, 3] - T_first[:, :3, :3] @ moved_m
+        both = np.outer(lengths, lengths)
         return replace(
-            self, H=self.H * np.outer(lengths, lengths), b=self.b * lengths, T_first=T_first
+            self, H=self.H * both, b=self.b * lengths, T_first=T_first, scatter=self.scatter * both
         )
 
     def without(self, left: int) -> WindowPrior:
@@ -107,13 +111,16 @@ class WindowPrior:
         size = (len(self.b) - SHARED) // len(self.T_first)
         own = np.zeros(len(self.b), np.bool_)
         own[left * size : (left + 1) * size] = True
-        H, b = self.H.copy(), self.b.copy()
-        eliminate(H, b, own)
+        H, right = self.H.copy(), np.column_stack([self.b, self.scatter])
+        eliminate(H, right, own)
+        scatter = np.ascontiguousarray(right[:, 1:].T)
+        eliminate(self.H.copy(), scatter, own)
         stay, keep = ~own, np.arange(len(self.T_first)) != left
         return replace(
             self,
             H=np.ascontiguousarray(H[np.ix_(stay, stay)]),
-            b=b[stay],
+            b=right[stay, 0],
+            scatter=np.ascontiguousarray(scatter[np.ix_(stay, stay)]),
             T_first=self.T_first[keep],
             brightness_first=self.brightness_first[keep],
         )
@@ -125,12 +132,15 @@ class WindowPrior:
         size = (len(self.b) - SHARED) // len(self.T_first)
         old = np.r_[0 : len(self.b) - SHARED, len(self.b) - SHARED + size : len(self.b) + size]
         H, b = np.zeros((len(self.b) + size,) * 2), np.zeros(len(self.b) + size)
+        scatter = np.zeros_like(H)
         H[np.ix_(old, old)] = self.H
+        scatter[np.ix_(old, old)] = self.scatter
         b[old] = self.b
         return replace(
             self,
             H=H,
             b=b,
+            scatter=scatter,
             T_first=np.concatenate([self.T_first, T_k_w[None]]),
             brightness_first=np.concatenate([self.brightness_first, brightness[None]]),
         )
@@ -142,9 +152,11 @@ class WindowPrior:
         T_k_w: NDArray[np.float64],
         brightness: NDArray[np.float64],
         lag_s: float,
+        pulls: NDArray[np.float64],
     ) -> WindowPrior:
         """The prior and residuals with normal equations ``A`` d = ``g`` (U,) at a state.
 
+        ``pulls`` (N, U) is the part of each point in ``g``.
         ``A`` must be taken at ``slopes_at`` this state.  Keyframes that ``A`` speaks of for the
         first time get their first estimates from the state.
         """
@@ -155,6 +167,7 @@ class WindowPrior:
             T_first=T_first,
             brightness_first=brightness_first,
             lag_first_s=self.lag_first_s if self.H[-1, -1] > 0.0 else lag_s,
+            scatter=self.scatter + pulls.T @ pulls,
         )
         # The equations are about the state: about the first estimates their right side is longer.
         offsets = grown.offsets(T_k_w, brightness, lag_s)
@@ -163,7 +176,7 @@ class WindowPrior:
 
 @njit(cache=True, nogil=True)
 def eliminate(H, b, own):  # type: ignore[no-untyped-def]
-    """Take unknowns ``own`` (U,) bool out of ``H`` (U, U) and ``b`` (U,), one after the other.
+    """Take unknowns ``own`` (U,) bool out of ``H`` (U, U) and ``b`` (U, R), one after the other.
 
     What nothing shows once those before it have gone is dropped; a sum of squares stays one.
     """

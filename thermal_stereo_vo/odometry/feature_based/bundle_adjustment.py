@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import retract, solve_positive
+from thermal_stereo_vo.odometry.clustered_covariance import clustered_covariance
 from thermal_stereo_vo.odometry.feature_based.frame_pose import (
     frame_residuals_reference,
     robust_sigma,
@@ -27,10 +28,7 @@ from thermal_stereo_vo.odometry.feature_based.inverse_depth import (
     relative_transform,
     residual_row,
 )
-from thermal_stereo_vo.odometry.feature_based.point_scatter import (
-    clustered_covariance,
-    point_pulls,
-)
+from thermal_stereo_vo.odometry.feature_based.point_scatter import point_pulls
 from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCamera
 from thermal_stereo_vo.odometry.information import inverse_information
 
