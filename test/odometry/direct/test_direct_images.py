@@ -64,8 +64,32 @@ def test_points_are_steep_spread_and_away_from_others(room, rng):
     cells = {(x // 80, y // 80) for x, y in points}
     assert len(cells) >= 8  # of 9 that the mask leaves
     rest = select_points(level, points[::2].astype(float), mask, config)
-    assert 0.3 * len(points) < len(rest) < 0.8 * len(points)
+    assert 0.2 * len(points) < len(rest) < 0.8 * len(points)
     apart = np.abs(rest[:, None] - points[None, ::2]).max(axis=2).min(axis=1)
+    assert apart.min() > 3
+
+
+@pytest.mark.parametrize(("shown", "least", "most"), [(1.0, 0.9, 1.1), (0.5, 0.75, 1.1)])
+def test_what_shows_something_gets_the_points_of_what_does_not(rng, shown, least, most):
+    image = np.zeros((240, 320), np.float32)
+    width = int(shown * 320)
+    image[:, :width] = rng.normal(0, 60, (240, width))
+    level = build_gradient_pyramid(image, 0.8, BrightnessUnit(0.0, 1.0))[0]
+    points = select_points(level, np.zeros((0, 2)), None, SelectionConfig(points=300))
+    assert least < len(points) / 300 < most
+    assert points[:, 0].max() < width + 3
+    assert len(np.unique(points, axis=0)) == len(points)
+    more = select_points(level, points.astype(float), None, SelectionConfig(points=300))
+    assert len(more) < 0.2 * len(points)
+
+
+def test_a_scene_that_shows_next_to_nothing_is_not_filled_at_any_price(rng):
+    image = np.zeros((240, 320), np.float32)
+    image[100:140, 100:140] = rng.normal(0, 60, (40, 40))
+    level = build_gradient_pyramid(image, 0.8, BrightnessUnit(0.0, 1.0))[0]
+    points = select_points(level, np.zeros((0, 2)), None, SelectionConfig(points=300))
+    assert 10 < len(points) < 40
+    apart = np.abs(points[:, None] - points[None]).max(axis=2) + 100 * np.eye(len(points))
     assert apart.min() > 3
 
 

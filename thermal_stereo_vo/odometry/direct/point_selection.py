@@ -14,6 +14,9 @@ from thermal_stereo_vo.odometry.feature_based.corners import pick_corners
 
 _BORDER_PX = 6
 _LEAST_CELL_PX = 8
+_ENOUGH = 0.7
+"""Share of the points wanted with which nothing is divided again."""
+_LEAST_SHRINKING = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,26 +45,32 @@ def select_points(
 ) -> NDArray[np.int64]:
     """(N, 2) pixels of ``image`` (H, W, 3): steepest of each cell without ``occupied_px`` (M, 2).
 
-    There are ``factor`` times as many cells as points wanted, in the whole image one in each.
-    As in DSO (Engel et al., TPAMI 2018) the threshold is the median gradient of the surroundings
-    and a constant, so that weak parts of the image get points too and noise does not.
+    There are ``factor`` times as many cells as points wanted, in the whole image one in each; where
+    much of the image shows nothing, the rest is divided into smaller ones.  As in DSO (Engel et
+    al., TPAMI 2018) the threshold is the median gradient of the surroundings and a constant, so
+    that weak parts of the image get points too and noise does not.
     """
     steepness: NDArray[np.float32] = np.empty(image.shape[:2], np.float32)
     fill_steepness(image, steepness)
     clear_below(steepness, *_least_by_block(steepness, config))
     height, width = steepness.shape
-    cell_px = max(_LEAST_CELL_PX, math.ceil(math.sqrt(height * width / (factor * config.points))))
+    wanted = factor * config.points
+    cell_px = max(_LEAST_CELL_PX, math.ceil(math.sqrt(height * width / wanted)))
     everywhere = np.ones((1, 1), np.bool_)
     everywhere.flags.writeable = False
+    allowed = everywhere if mask is None else mask
+    occupied_px = np.ascontiguousarray(occupied_px, np.float64).reshape(-1, 2)
     chosen: NDArray[np.int64] = pick_corners(
-        steepness,
-        np.ascontiguousarray(occupied_px, np.float64).reshape(-1, 2),
-        everywhere if mask is None else mask,
-        cell_px,
-        1,
-        _BORDER_PX,
+        steepness, occupied_px, allowed, cell_px, 1, _BORDER_PX
     )
-    return chosen
+    share = (len(occupied_px) + len(chosen)) / wanted
+    if share > _ENOUGH:
+        return chosen
+    cell_px = max(_LEAST_CELL_PX, math.ceil(cell_px * max(math.sqrt(share), _LEAST_SHRINKING)))
+    more: NDArray[np.int64] = pick_corners(
+        steepness, np.concatenate([occupied_px, chosen]), allowed, cell_px, 1, _BORDER_PX
+    )
+    return np.concatenate([chosen, more])
 
 
 def _least_by_block(
