@@ -61,7 +61,7 @@ def arguments(scene, free_depth, bands=False, bolometers=None):
         scene["T_host_world"], scene["host_light"], np.tile(T_RIG_CAMERA, (2, 1, 1, 1)),
         scene["hosts"], scene["host_cameras"], scene["bearings"],
         scene["rhos"], scene["information"], 1 / CAMERAS[:, :2], scene["patches"], scene["trusts"],
-        bands, bolometers, 0.0, HUBER, GATE, free_depth,
+        bands, bolometers, np.zeros(2), HUBER, GATE, free_depth,
     )  # fmt: skip
 
 

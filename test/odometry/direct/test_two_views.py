@@ -59,4 +59,4 @@ def test_a_camera_that_starts_in_full_motion_is_followed():
     assert all(result.status.value == "TRACKING" for result in results[1:])
     found = np.array([result.T_world_rig[:3, 3] for result in results])
     true = poses[:, :3, 3]
-    assert rms_m(umeyama(found, true, with_scale=True), found, true) < 0.02
+    assert rms_m(umeyama(found, true, with_scale=True), found, true) < 0.03

@@ -29,6 +29,7 @@ from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWind
 from thermal_stereo_vo.odometry.direct.point_selection import select_points
 from thermal_stereo_vo.odometry.direct.rig import Rig, with_arms
 from thermal_stereo_vo.odometry.direct.rig_check import RigCheck, Turn, turn_of_second
+from thermal_stereo_vo.odometry.direct.scale_filter import ScaleFilter
 from thermal_stereo_vo.odometry.direct.scale_search import (
     LEAST_KEYFRAMES,
     ScaleSearch,
@@ -83,6 +84,7 @@ class BandMap:
             _ROOM_FACTOR * config.selection.points,
             images.rig,
             config.photometric.trust_gradient,
+            config.photometric.patch_offset,
         )
         self.is_metric = False
         self.has_been_followed = False
@@ -91,10 +93,12 @@ class BandMap:
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
         self._search = ScaleSearch(config.scale)
+        self._size = ScaleFilter(1.0, config.scale.drift)
         self._rig_check = RigCheck(np.radians(config.rig_check_deg))
         self.rig_fault: str | None = None
         """What is wrong with the calibration of the rig, as far as can be seen."""
-        self._wanted = np.zeros(cameras, np.int64)
+        self._most = np.zeros(cameras, np.int64)
+        """Points of each camera that have fitted at once since the newest keyframe."""
         self._keyframes = 0
         self._set_unit(np.log(_START_DISTANCE_M))
 
@@ -169,9 +173,11 @@ class BandMap:
                 continue
             fits = tracked.fits & (tracked.points.host_cameras == camera)
             mine = np.flatnonzero(fits & (tracked.points.hosts == self.window.poses.newest))
-            wanted = config.inlier_share * self._wanted[camera] if leads else 0.0
+            count = int(fits.sum())
+            self._most[camera] = max(self._most[camera], count)
+            wanted = config.inlier_share * self._most[camera] if leads else 0.0
             least = _LEAST_OF_NEWEST if leads else 0
-            if int(fits.sum()) < max(wanted, _LEAST_OF_NEWEST) or len(mine) < least:
+            if count < max(wanted, _LEAST_OF_NEWEST) or len(mine) < least:
                 return True
             leads = False
             if len(mine) < _LEAST_OF_NEWEST:
@@ -222,6 +228,7 @@ class BandMap:
                 slot, camera, pyramid, pixels, rhos, information, counts, is_prior=True
             )
         self._keyframes += 1
+        self._most[:] = 0
         points = window.points()
         self.rho = float(np.median(points.rhos)) if len(points) > 0 else 1.0
 
@@ -236,6 +243,7 @@ class BandMap:
         """(N, 2) pixels and (N,) inverse depths where a camera has no points yet."""
         window, pyramid = self.window, pyramids[camera]
         assert pyramid is not None
+        alone = len(pyramids) - pyramids.count(None) == 1 < len(pyramids)
         occupied_px = np.zeros((0, 2))
         if tracked is not None:
             # Before the scale is known nobody looks whether points of the second camera fit.
@@ -246,13 +254,16 @@ class BandMap:
             size = np.array(window.rig.shapes[camera][::-1])
             occupied_px = occupied_px[np.all((occupied_px >= 0) & (occupied_px < size), axis=1)]
         selection = self._config.selection
-        if camera > 0:
+        if self.is_metric and alone:
+            # One camera has to do the work of both.
+            wanted = (1.0 + self._config.second_share) * selection.points
+            selection = replace(selection, points=int(wanted))
+        elif camera > 0:
             selection = replace(
                 selection, points=max(100, int(self._config.second_share * selection.points))
             )
         view = frame.views[self._images.roles[camera]]
         pixels = select_points(pyramid[0], occupied_px, view.mask, selection)
-        self._wanted[camera] = len(pixels) + len(occupied_px)
         known = window.points()
         if not self.is_metric:
             known = known.take(np.flatnonzero(known.host_cameras == 0))
@@ -295,7 +306,7 @@ class BandMap:
         if len(problem.slots) < 2:
             return None
         alone = problem
-        hold = (self.window.sigma / config.scale.hold) ** 2
+        hold = (self.window.sigma / self._size.hold) ** 2
         if not self.is_metric:
             seen = problem.seen.copy()
             seen[problem.host_cameras > 0] = False
@@ -360,6 +371,7 @@ class BandMap:
         window.rescale(factor, self._start.T_world_rig[:3, 3])
         self.rho /= factor
         self.is_metric = True
+        self._size = ScaleFilter(estimate.spread**2 + estimate.sigma**2, config.scale.drift)
         self._search = ScaleSearch(config.scale)
         self._set_unit(0.0)
         return factor
@@ -377,12 +389,10 @@ class BandMap:
 
     def _watch(self, solution: PhotometricSolution) -> None:
         """Admit that the size is wrong where many windows say so."""
+        self._size.update(solution.log_scale_sigma)
+        self.scale_sigma = self._size.sigma
         self._search.note(solution.log_scale, solution.log_scale_sigma)
-        estimate = self._search.estimate()
-        if estimate is None:
-            return
-        self.scale_sigma = max(estimate.spread, self._config.scale.hold)
-        if self._search.contradicts(estimate):
+        if self._search.contradicts(self._search.estimate()):
             self.is_metric = False
             self.window.forget_prior()
             self._search = ScaleSearch(self._config.scale)

@@ -65,11 +65,11 @@ def linearise_frame(  # type: ignore[no-untyped-def]
 
     ``images`` one (1, H, W, 3) per camera, ``use`` (C,) which of them count; ``T_host_world``
     (slots, 4, 4), ``host_brightness`` (slots, C, 2), ``T_rig_host`` (slots, C, 4, 4) rig from
-    camera; points sorted by host; ``looseness`` as for ``gather_patch``.  With ``bands`` a point
-    is only looked for with the camera that hosts it; in the images of ``bolometers`` (C,) residuals
-    count as they weigh.  With ``free_depth`` inverse depths move too, held by ``rho_information``
-    (N,), and are eliminated.  A patch with a mean squared residual above ``gate`` squared costs
-    that much and pulls no more.
+    camera; points sorted by host; ``looseness`` (C,) that of ``gather_patch``.  With ``bands`` a
+    point is only looked for with the camera that hosts it; in the images of ``bolometers`` (C,)
+    residuals count as they weigh.  With ``free_depth`` inverse depths move too, held by
+    ``rho_information`` (N,), and are eliminated.  A patch with a mean squared residual above
+    ``gate`` squared costs that much and pulls no more.
     Writes A, g and ``energies`` (C, N); returns the mean cost of what is seen (infinite where
     nothing is) and how much that is.
     """
@@ -133,7 +133,7 @@ def linearise_frame(  # type: ignore[no-untyped-def]
                 continue
             total += energy
             touched = True
-            total -= gather_patch(view, patch, gain, b_host, looseness, r, weights, sums)
+            total -= gather_patch(view, patch, gain, b_host, looseness[c], r, weights, sums)
             middle_slopes(T, 0, T_camera_rig, c, arms, bearings[n, 0], bearings[n, 1], rhos[n], G)
             x_rho, y_rho = G[0, BY_RHO], G[1, BY_RHO]
             tx_rho = sums[XX] * x_rho + sums[XY] * y_rho

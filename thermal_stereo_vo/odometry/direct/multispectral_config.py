@@ -10,6 +10,20 @@ from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig
 
 
 @dataclass(frozen=True)
+class BandPhotometricConfig(PhotometricConfig):
+    """How brightness is compared within each of two bands."""
+
+    patch_offset: float = setting(
+        6.0,
+        "How far the brightness of a thermal patch may be off as a whole (1 sigma), relative to "
+        "the noise of a pixel: shading of the optics stays with the sensor while the scene moves "
+        "on.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+
+
+@dataclass(frozen=True)
 class BandSelectionConfig(SelectionConfig):
     """How many points there are and how they spread."""
 
@@ -24,7 +38,8 @@ class BandKeyframeConfig:
 
     inlier_share: float = setting(
         0.7,
-        "A keyframe is due when fewer of the wanted points still fit.",
+        "A keyframe is due when fewer points fit than this share of what fitted at best since the "
+        "newest.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -82,11 +97,11 @@ class ScaleConfig:
         minimum=0.001,
         maximum=0.5,
     )
-    hold: float = setting(
-        0.002,
-        "Relative change of the size that one adjustment may make once it is known (1 sigma): more "
-        "follows drift faster, less averages over more windows.",
-        minimum=1e-5,
+    drift: float = setting(
+        0.003,
+        "Relative error of the size that grows from keyframe to keyframe once it is known (1 "
+        "sigma): more follows drift faster, less averages over more windows.",
+        minimum=1e-6,
         maximum=0.5,
     )
     reopen: float = setting(
@@ -101,7 +116,7 @@ class ScaleConfig:
 class MultispectralConfig:
     """Direct visible + thermal odometry."""
 
-    photometric: PhotometricConfig = group(PhotometricConfig, "How brightness is compared.")
+    photometric: BandPhotometricConfig = group(BandPhotometricConfig, "How brightness is compared.")
     selection: BandSelectionConfig = group(BandSelectionConfig, "Which pixels become points.")
     keyframes: BandKeyframeConfig = group(BandKeyframeConfig, "When a frame is kept.")
     scale: ScaleConfig = group(ScaleConfig, "When the size of the map is known.")

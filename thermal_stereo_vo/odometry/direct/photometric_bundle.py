@@ -46,8 +46,8 @@ class PhotometricProblem:
     residuals there are.  With ``bands`` the other camera compares its own two views of a point, for
     its patches again with ``trust_gradient``.  ``bolometers`` (C,) bool: those are late, and
     patches of theirs may be so steep that residuals count as they weigh, not by their size.
-    ``prior`` is what keyframes that left still say; ``looseness`` as for ``gather_patch``, only
-    without ``bands``.
+    ``looseness`` (C,) is that of ``gather_patch``; between two views of the other camera there is
+    none.  ``prior`` is what keyframes that left still say.
     """
 
     images: tuple[NDArray[np.float32], ...]
@@ -70,8 +70,8 @@ class PhotometricProblem:
     bands: bool
     bolometers: NDArray[np.bool_]
     trust_gradient: float
+    looseness: NDArray[np.float64]
     prior: WindowPrior | None = None
-    looseness: float = 0.0
 
     def take(self, chosen: NDArray[np.bool_]) -> PhotometricProblem:
         """The same keyframes with the ``chosen`` (N,) points, without the prior."""

@@ -64,8 +64,8 @@ class PhotometricWindow:
 
     ``brightness`` (slots, C, 2) a and b of each image; ``has_image`` (slots, C), for a camera may
     be blind at a keyframe; ``stacks`` one (slots, H, W, 3) float32 per camera.  ``patch_offset`` is
-    how far patches may be off as a whole, in standard deviations of a pixel's noise; not between
-    bands.
+    how far patches may be off as a whole, in standard deviations of a pixel's noise; of two bands,
+    in images of bolometers alone.
     """
 
     def __init__(
@@ -80,7 +80,9 @@ class PhotometricWindow:
         self.rig = rig
         self.poses = KeyframePoses(keyframes)
         self._trust_gradient = trust_gradient
-        self.looseness = patch_offset**2
+        self.looseness = np.full(cameras, patch_offset**2)
+        if rig.bands:
+            self.looseness[~rig.bolometers] = 0.0
         self.brightness = np.zeros((keyframes, cameras, 2))
         self.twists = np.zeros((keyframes, 6))
         self.has_image = np.zeros((keyframes, cameras), np.bool_)
@@ -339,8 +341,8 @@ class PhotometricWindow:
                 self.rig.bands,
                 self.rig.bolometers,
                 self._trust_gradient,
-                self._prior,
                 self.looseness,
+                self._prior,
             ),
             points,
         )

@@ -150,6 +150,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
             camera = cameras[c, 0], cameras[c, 1], cameras[c, 2], cameras[c, 3]
             # Whose brightness the patch has: that of the host, or of the other camera then.
             owner = c if across else hc
+            loose = 0.0 if across else looseness[c]
             b_host, b_slope = brightness[h, owner, 1], brightness_slopes[h, owner, 1]
             for n in range(start, stop):
                 m = n - start
@@ -198,7 +199,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         cost += limit * trust
                         continue
                     cost += energy
-                    cost -= gather_patch(view, patch, gain, b_slope, looseness, r, weights, sums)
+                    cost -= gather_patch(view, patch, gain, b_slope, loose, r, weights, sums)
                     if asked:
                         own[:] = pair_g[pair]
                         for k in range(PIXELS):
