@@ -93,7 +93,7 @@ class BandMap:
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
         self._search = ScaleSearch(config.scale)
-        self._size = ScaleFilter(1.0, config.scale.drift)
+        self._size = ScaleFilter(config.scale.drift)
         self._rig_check = RigCheck(np.radians(config.rig_check_deg))
         self.rig_fault: str | None = None
         """What is wrong with the calibration of the rig, as far as can be seen."""
@@ -306,8 +306,9 @@ class BandMap:
         if len(problem.slots) < 2:
             return None
         alone = problem
-        hold = (self.window.sigma / self._size.hold) ** 2
-        if not self.is_metric:
+        if self.is_metric:
+            hold = (self.window.sigma / self._size.hold) ** 2
+        else:
             seen = problem.seen.copy()
             seen[problem.host_cameras > 0] = False
             alone = replace(problem, seen=seen)
@@ -360,18 +361,18 @@ class BandMap:
         if update.scale is None:
             return None
         self._search.add(update.scale)
-        estimate = self._search.estimate()
-        if estimate is not None:
-            self.scale_sigma = max(estimate.spread, estimate.sigma)
-        if estimate is None or not self._search.is_known(estimate) or self.rig_fault is not None:
+        self._size.update(update.scale.log_scale, update.scale.sigma)
+        self.scale_sigma = self._size.sigma
+        many = self._size.count >= config.scale.windows
+        if not many or self.scale_sigma > config.scale.sigma or self.rig_fault is not None:
             return None
         window.take_camera(update.scale.joint, update.points, 1)
         self._shift_lag(update.scale.joint.lag_s)
-        factor = float(np.exp(estimate.log_scale))
+        factor = float(np.exp(self._size.log_scale))
         window.rescale(factor, self._start.T_world_rig[:3, 3])
         self.rho /= factor
         self.is_metric = True
-        self._size = ScaleFilter(estimate.spread**2 + estimate.sigma**2, config.scale.drift)
+        self._size.settle()
         self._search = ScaleSearch(config.scale)
         self._set_unit(0.0)
         return factor
@@ -389,11 +390,12 @@ class BandMap:
 
     def _watch(self, solution: PhotometricSolution) -> None:
         """Admit that the size is wrong where many windows say so."""
-        self._size.update(solution.log_scale_sigma)
+        self._size.update(0.0, solution.log_scale_sigma)
         self.scale_sigma = self._size.sigma
-        self._search.note(solution.log_scale, solution.log_scale_sigma)
-        if self._search.contradicts(self._search.estimate()):
+        self._search.note(solution.log_scale)
+        if self._search.contradicts():
             self.is_metric = False
+            self._size = ScaleFilter(self._config.scale.drift)
             self.window.forget_prior()
             self._search = ScaleSearch(self._config.scale)
 

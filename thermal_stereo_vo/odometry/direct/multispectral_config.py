@@ -14,7 +14,7 @@ class BandPhotometricConfig(PhotometricConfig):
     """How brightness is compared within each of two bands."""
 
     patch_offset: float = setting(
-        6.0,
+        1.0,
         "How far the brightness of a thermal patch may be off as a whole (1 sigma), relative to "
         "the noise of a pixel: shading of the optics stays with the sensor while the scene moves "
         "on.",
@@ -83,22 +83,16 @@ class ScaleConfig:
         maximum=1000.0,
     )
     windows: int = setting(
-        6, "Adjustments that must agree before the scale is believed.", minimum=3, maximum=50
-    )
-    spread: float = setting(
-        0.025,
-        "Largest relative standard error of their median, as they scatter.",
-        minimum=0.001,
-        maximum=0.5,
+        6, "Adjustments that must have told the scale before it is believed.", minimum=3, maximum=50
     )
     sigma: float = setting(
-        0.05,
-        "Largest relative standard deviation by one window, as its residuals say.",
+        0.027,
+        "Relative standard deviation of the scale with which it is believed.",
         minimum=0.001,
         maximum=0.5,
     )
     drift: float = setting(
-        0.003,
+        0.0045,
         "Relative error of the size that grows from keyframe to keyframe once it is known (1 "
         "sigma): more follows drift faster, less averages over more windows.",
         minimum=1e-6,

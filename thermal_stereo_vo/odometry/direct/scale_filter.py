@@ -1,29 +1,34 @@
-"""How well the size of a metric map is known, from keyframe to keyframe."""
+"""How large a map is and how well that is known, from keyframe to keyframe."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_TRUST = 8.0
-"""Variances by residuals are claimed so many times as large, as those of poses are."""
-_OVERLAP = 7.0
+_TRUST = 16.0
+"""Errors of windows have so many times the variance that their residuals claim."""
+_OVERLAP = 3.5
 """Windows that share keyframes say nearly the same: so many of them count as one."""
+_OUTLIER = 3.0
 
 
 class ScaleFilter:
-    """Variance of the logarithm of the size, a random walk that each window measures again.
+    """Logarithm of the size, a random walk that each window measures again.
 
-    A Kalman filter (Kalman, 1960) whose state is the map itself: what was known before enters the
-    adjustment as ``hold``.
+    A Kalman filter (Kalman, 1960) in which a window that is too far off weighs less (Huber).  Once
+    the map has taken the size over (``settle``) what is known of it enters the next adjustment as
+    ``hold``.
     """
 
-    def __init__(self, variance: float, drift: float) -> None:
-        self._variance = variance
+    def __init__(self, drift: float) -> None:
         self._drift = drift
+        self._variance = np.inf
+        self.log_scale = 0.0
+        self.count = 0
+        """How many windows have said something."""
 
     @property
     def sigma(self) -> float:
-        """Relative standard deviation of the size."""
+        """Relative standard deviation of the size; infinite before the first window."""
         return float(np.sqrt(self._variance))
 
     @property
@@ -34,9 +39,26 @@ class ScaleFilter:
         """
         return self.sigma / float(np.sqrt(_TRUST * _OVERLAP))
 
-    def update(self, window_sigma: float) -> None:
-        """A window has measured the size so well, as its residuals say; inf: not at all."""
-        measured = _TRUST * _OVERLAP * window_sigma**2
-        if np.isfinite(measured):
-            self._variance *= measured / (self._variance + measured)
+    def settle(self) -> None:
+        """The map has this size from now on: what windows say is by how much it is wrong."""
+        self.log_scale = 0.0
+
+    def update(self, log_scale: float, window_sigma: float) -> None:
+        """A window says ``log_scale`` and claims ``window_sigma``, infinite where it knows nothing.
+
+        Settled, the adjustment itself has moved the map, and the window says 0.
+        """
         self._variance += self._drift**2
+        measured = _TRUST * _OVERLAP * window_sigma**2
+        if not np.isfinite(measured):
+            return
+        self.count += 1
+        if np.isinf(self._variance):
+            self._variance, self.log_scale = measured, log_scale
+            return
+        off = log_scale - self.log_scale
+        strangeness = abs(off) / np.sqrt(self._variance + measured / _OVERLAP)
+        measured *= max(1.0, strangeness / _OUTLIER)
+        gain = self._variance / (self._variance + measured)
+        self.log_scale += float(gain * off)
+        self._variance *= 1.0 - gain

@@ -3,7 +3,7 @@
 When the rig turns, the other camera moves by its lever arm, a known number of metres.  Points of
 its own, followed in its own images, tell how many units of the map that is: by a scan over all
 sizes first, then by an adjustment of everything with the scale as one more unknown (Dai et al. 2019
-leave it to the depths to grow or shrink all together).  Many windows must agree.
+leave it to the depths to grow or shrink all together).  What windows say ``ScaleFilter`` averages.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _MOST_POINTS = 150
 _ITERATIONS = 12
 _MEMORY = 8
 _CURVES = 5
-_TRUST = 8.0
-"""Variances by residuals are claimed so many times as large, as those of poses are."""
+_AGREEMENT = 0.25
+"""Windows agree when their median is surer than this share of what they say is wrong."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +49,6 @@ class WindowScale:
     joint: PhotometricSolution
 
 
-@dataclass(frozen=True)
-class ScaleEstimate:
-    """Logarithm of metres in a unit of the map, by several windows.
-
-    ``spread`` standard error of the median as they scatter; ``sigma`` standard deviation of one of
-    them as its residuals say.
-    """
-
-    log_scale: float
-    spread: float
-    sigma: float
-
-
 class ScaleSearch:
     """Gathers what windows say of the size of one and the same map."""
 
@@ -70,7 +57,7 @@ class ScaleSearch:
         self.log_scales = np.arange(np.log(config.smallest_m), np.log(config.largest_m), _STEP)
         """(S,) sizes that are looked at."""
         self._curves: deque[NDArray[np.float64]] = deque(maxlen=_CURVES)
-        self._recent: deque[tuple[float, float]] = deque(maxlen=max(_MEMORY, config.windows))
+        self._recent: deque[float] = deque(maxlen=max(_MEMORY, config.windows))
 
     def look(
         self,
@@ -100,7 +87,7 @@ class ScaleSearch:
             costs,
         )  # fmt: skip
         if self._recent:
-            start = self._recent[-1][0]
+            start = self._recent[-1]
         else:
             start = float(self.log_scales[np.argmin(np.sum([*self._curves, costs], axis=0))])
         first = problem.host_cameras == 0
@@ -128,31 +115,19 @@ class ScaleSearch:
     def add(self, window: WindowScale) -> None:
         """Take in what a window said."""
         self._curves.append(window.costs)
-        self.note(window.log_scale, window.sigma)
+        self.note(window.log_scale)
 
-    def note(self, log_scale: float, sigma: float) -> None:
-        """Take in a scale with its standard deviation by residuals."""
-        self._recent.append((log_scale, sigma))
+    def note(self, log_scale: float) -> None:
+        """Take in a scale."""
+        self._recent.append(log_scale)
 
-    def estimate(self) -> ScaleEstimate | None:
-        """What the last windows say; None while they are too few."""
+    def contradicts(self) -> bool:
+        """Whether many windows agree that a size of one is wrong."""
         count = len(self._recent)
         if count < self._config.windows:
-            return None
-        log_scales, sigmas = np.array(self._recent).T
+            return False
         # Neighbours share most of their keyframes; 1.25 is the price of a median.
-        spread = 1.25 * float(np.std(log_scales)) / np.sqrt(0.5 * count)
-        sigma = float(np.sqrt(_TRUST) * np.median(sigmas))
-        return ScaleEstimate(float(np.median(log_scales)), spread, sigma)
-
-    def is_known(self, estimate: ScaleEstimate | None) -> bool:
-        """Whether windows agree, each of which could have told otherwise."""
-        if estimate is None:
-            return False
-        return estimate.spread < self._config.spread and estimate.sigma < self._config.sigma
-
-    def contradicts(self, estimate: ScaleEstimate | None) -> bool:
-        """Whether windows agree that a size of one is wrong."""
-        if estimate is None or not self.is_known(estimate):
-            return False
-        return abs(estimate.log_scale) > self._config.reopen
+        spread = 1.25 * float(np.std(self._recent)) / np.sqrt(0.5 * count)
+        reopen = self._config.reopen
+        agree = float(spread) < _AGREEMENT * reopen
+        return agree and abs(float(np.median(self._recent))) > reopen
