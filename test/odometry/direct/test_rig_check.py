@@ -56,6 +56,15 @@ def test_a_right_rig_is_never_doubted(frames):
     assert results[-1].scale_converged
 
 
+def test_straight_ahead_a_right_rig_is_not_doubted():
+    """A turn about the way shows in no picture."""
+    room, rng = Room(3), np.random.default_rng(5)
+    poses = [make_transform(np.eye(3), [0.0, 0.0, -1.5 + 0.03 * i]) for i in range(60)]
+    results = fly([room.frame(i, T, rng) for i, T in enumerate(poses)], T_RIG_CAMERA[THERMAL])
+    assert all(result.reason == "" for result in results[1:])
+    assert not any(result.scale_converged for result in results)
+
+
 @pytest.mark.parametrize(("degrees", "axis"), [(2.0, 0), (-2.0, 2), (8.0, 1)])
 def test_a_turned_camera_is_told_with_its_angle(frames, degrees, axis):
     results = fly(frames, turned(degrees, axis))

@@ -51,6 +51,18 @@ def test_one_window_far_off_moves_little():
     assert found.sigma > calm.sigma
 
 
+@pytest.mark.parametrize(("scatter", "agrees"), [(1.0, True), (10.0, False)])
+def test_windows_that_scatter_more_than_they_claim_do_not_agree(rng, scatter, agrees):
+    found = ScaleFilter(0.003)
+    assert not found.agrees
+    for _ in range(40):
+        found.update(1.0 + scatter * rng.normal(0.0, 0.02 * 4.0), 0.02)
+    assert found.agrees is agrees
+    for _ in range(16):
+        found.update(found.log_scale, 0.02)
+    assert found.agrees
+
+
 def test_the_variance_is_that_of_errors_of_the_map(rng):
     drift, claimed = 0.002, 0.004
     off = np.zeros(4000)

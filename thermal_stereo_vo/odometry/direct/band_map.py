@@ -363,8 +363,8 @@ class BandMap:
         self._search.add(update.scale)
         self._size.update(update.scale.log_scale, update.scale.sigma)
         self.scale_sigma = self._size.sigma
-        many = self._size.count >= config.scale.windows
-        if not many or self.scale_sigma > config.scale.sigma or self.rig_fault is not None:
+        told = self._size.count >= config.scale.windows and self._size.agrees
+        if not told or self.scale_sigma > config.scale.sigma or self.rig_fault is not None:
             return None
         window.take_camera(update.scale.joint, update.points, 1)
         self._shift_lag(update.scale.joint.lag_s)

@@ -32,6 +32,8 @@ from thermal_stereo_vo.odometry.direct.rig_kernel import linearise_rig
 _MOST_POINTS = 120
 _ITERATIONS = 12
 _ARM_SIGMA = 0.5
+_TURN_SIGMA_RAD = 0.3
+"""Keeps turns that nothing shows, as that about the way straight ahead, from running away."""
 _MEMORY = 8
 _LEAST_WINDOWS = 4
 _SIGMAS = 3.0
@@ -149,18 +151,20 @@ class _Second:
         arm = float(np.linalg.norm(T_given[:3, 3])) + 1e-9
         self._arm_information = np.zeros(POSE)
         self._arm_information[:3] = (noise / (_ARM_SIGMA * arm)) ** 2
+        self._turn_information = np.zeros(POSE)
+        self._turn_information[3:] = (noise / _TURN_SIGMA_RAD) ** 2
 
     def settle(self, T: NDArray[np.float64]) -> tuple[NDArray[np.float64], _RigEquations]:
         """T_camera_rig (4, 4) at the minimum near ``T``, by Levenberg-Marquardt."""
-        rhos = self._rhos
+        rhos, R_start = self._rhos, T[:3, :3]
         now, then = _RigEquations(*self.seen.shape), _RigEquations(*self.seen.shape)
-        self._linearise(T, rhos, now)
+        self._linearise(T, R_start, rhos, now)
         damping = 1e-4
         for _ in range(_ITERATIONS):
             damped = now.A + np.diag(damping * np.diag(now.A) + 1e-9)
             step = np.asarray(np.linalg.solve(damped, now.g), np.float64)
             T_new, rhos_new = exp_se3(step) @ T, now.depths_after(rhos, step)
-            self._linearise(T_new, rhos_new, then)
+            self._linearise(T_new, R_start, rhos_new, then)
             if then.cost < now.cost:
                 small = now.cost - then.cost < 1e-4 * now.cost
                 T, rhos, now, then = T_new, rhos_new, then, now
@@ -174,7 +178,11 @@ class _Second:
         return T, now
 
     def _linearise(
-        self, T: NDArray[np.float64], rhos: NDArray[np.float64], out: _RigEquations
+        self,
+        T: NDArray[np.float64],
+        R_start: NDArray[np.float64],
+        rhos: NDArray[np.float64],
+        out: _RigEquations,
     ) -> None:
         out.cost = linearise_rig(
             *self._keyframes, T, rhos, *self._points, out.A, out.g, out.W, out.h_rho, out.b_rho,
@@ -182,9 +190,11 @@ class _Second:
         )  # fmt: skip
         off = np.zeros(POSE)
         off[:3] = self.T_given[:3, 3] - T[:3, 3]
-        out.A[np.diag_indices(POSE)] += self._arm_information
-        out.g += self._arm_information * off
-        out.cost += float(self._arm_information @ off**2)
+        off[3:] = log_so3(R_start @ T[:3, :3].T)
+        information = self._arm_information + self._turn_information
+        out.A[np.diag_indices(POSE)] += information
+        out.g += information * off
+        out.cost += float(information @ off**2)
 
 
 @dataclass

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 _TRUST = 16.0
@@ -9,6 +11,9 @@ _TRUST = 16.0
 _OVERLAP = 3.5
 """Windows that share keyframes say nearly the same: so many of them count as one."""
 _OUTLIER = 3.0
+_MEMORY = 16
+_MOST_STRANGENESS = 6.0
+"""Mean square of the last windows' errors over what they should be; about 0.5 for a right rig."""
 
 
 class ScaleFilter:
@@ -25,11 +30,18 @@ class ScaleFilter:
         self.log_scale = 0.0
         self.count = 0
         """How many windows have said something."""
+        self._strangeness: deque[float] = deque(maxlen=_MEMORY)
 
     @property
     def sigma(self) -> float:
         """Relative standard deviation of the size; infinite before the first window."""
         return float(np.sqrt(self._variance))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether windows scatter no more than they should: with a wrong rig they do."""
+        squares = np.square(self._strangeness)
+        return len(squares) > 0 and float(np.mean(squares)) < _MOST_STRANGENESS
 
     @property
     def hold(self) -> float:
@@ -58,6 +70,7 @@ class ScaleFilter:
             return
         off = log_scale - self.log_scale
         strangeness = abs(off) / np.sqrt(self._variance + measured / _OVERLAP)
+        self._strangeness.append(float(strangeness))
         measured *= max(1.0, strangeness / _OUTLIER)
         gain = self._variance / (self._variance + measured)
         self.log_scale += float(gain * off)
