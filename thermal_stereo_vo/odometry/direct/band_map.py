@@ -243,7 +243,6 @@ class BandMap:
         """(N, 2) pixels and (N,) inverse depths where a camera has no points yet."""
         window, pyramid = self.window, pyramids[camera]
         assert pyramid is not None
-        alone = len(pyramids) - pyramids.count(None) == 1 < len(pyramids)
         occupied_px = np.zeros((0, 2))
         if tracked is not None:
             # Before the scale is known nobody looks whether points of the second camera fit.
@@ -254,7 +253,7 @@ class BandMap:
             size = np.array(window.rig.shapes[camera][::-1])
             occupied_px = occupied_px[np.all((occupied_px >= 0) & (occupied_px < size), axis=1)]
         selection = self._config.selection
-        if self.is_metric and alone:
+        if self.is_metric and any(other is None for other in pyramids):
             # One camera has to do the work of both.
             wanted = (1.0 + self._config.second_share) * selection.points
             selection = replace(selection, points=int(wanted))

@@ -93,8 +93,8 @@ class ScaleConfig:
     )
     drift: float = setting(
         0.0045,
-        "Relative error of the size that grows from keyframe to keyframe once it is known (1 "
-        "sigma): more follows drift faster, less averages over more windows.",
+        "Relative error of the size that grows from keyframe to keyframe (1 sigma): more "
+        "follows drift faster, less averages over more windows.",
         minimum=1e-6,
         maximum=0.5,
     )

@@ -74,7 +74,7 @@ class PhotometricWindow:
         capacity: int,
         rig: Rig,
         trust_gradient: float,
-        patch_offset: float = 0.0,
+        patch_offset: float,
     ) -> None:
         cameras = len(rig.cameras)
         self.rig = rig

@@ -17,6 +17,7 @@ _LEAST_CELL_PX = 8
 _ENOUGH = 0.7
 """Share of the points wanted with which nothing is divided again."""
 _LEAST_SHRINKING = 0.5
+"""Finer cells have at least this share of the side: a small spot is not filled at any price."""
 
 
 @dataclass(frozen=True)

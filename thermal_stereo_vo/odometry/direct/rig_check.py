@@ -40,7 +40,7 @@ _SIGMAS = 3.0
 _LEAST_FITS, _LEAST_ANYWHERE = 0.8, 0.25
 _BY_FAR = 0.6
 _TRUST = 8.0
-"""Variances by residuals are claimed so many times as large, as those of scales are."""
+"""Variances by residuals are claimed so many times as large, as those of poses are."""
 
 
 @dataclass(frozen=True)
@@ -149,10 +149,9 @@ class _Second:
             self.seen, gate,
         )  # fmt: skip
         arm = float(np.linalg.norm(T_given[:3, 3])) + 1e-9
-        self._arm_information = np.zeros(POSE)
-        self._arm_information[:3] = (noise / (_ARM_SIGMA * arm)) ** 2
-        self._turn_information = np.zeros(POSE)
-        self._turn_information[3:] = (noise / _TURN_SIGMA_RAD) ** 2
+        self._information = np.repeat(
+            [(noise / (_ARM_SIGMA * arm)) ** 2, (noise / _TURN_SIGMA_RAD) ** 2], 3
+        )
 
     def settle(self, T: NDArray[np.float64]) -> tuple[NDArray[np.float64], _RigEquations]:
         """T_camera_rig (4, 4) at the minimum near ``T``, by Levenberg-Marquardt."""
@@ -191,10 +190,9 @@ class _Second:
         off = np.zeros(POSE)
         off[:3] = self.T_given[:3, 3] - T[:3, 3]
         off[3:] = log_so3(R_start @ T[:3, :3].T)
-        information = self._arm_information + self._turn_information
-        out.A[np.diag_indices(POSE)] += information
-        out.g += information * off
-        out.cost += float(information @ off**2)
+        out.A[np.diag_indices(POSE)] += self._information
+        out.g += self._information * off
+        out.cost += float(self._information @ off**2)
 
 
 @dataclass
