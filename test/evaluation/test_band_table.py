@@ -59,6 +59,16 @@ def test_a_cell_holds_the_figures_of_its_run(truth):
     assert None in found.errors_m  # where it was lost
 
 
+def test_drift_without_a_scale_is_that_of_the_shape(truth):
+    known, unknown = cell(truth, scale=1.02), cell(truth, scale=0.3, converged=FRAMES + 1)
+    assert 0.5 < known.average_percent < 2.0
+    assert unknown.average_percent == pytest.approx(0.0, abs=1e-6)
+    assert unknown.final_percent == pytest.approx(0.0, abs=1e-6)
+    bent = cell(truth, scale=0.3, converged=FRAMES + 1, jump_m=0.1)
+    jump_percent = 100.0 * 0.1 / 0.3 / truth.path_lengths_m[-1]
+    assert 0.5 * jump_percent < bent.final_percent < 1.5 * jump_percent
+
+
 def test_all_runs_are_drawn_in_one_world(truth):
     """Whenever they found their scale: a run without error lies on the truth."""
     for converged in (0, 100, FRAMES + 1):

@@ -29,7 +29,8 @@ class BandCell:
     ``path_length_m`` is that of the whole truth.  The figures from ``converged_after_s`` to
     ``worst_step_m`` are those of ``ScaleReport``, for a method in metres with a time of zero.
     ``average_percent`` and ``final_percent`` (KITTI average, error at the end; first poses made
-    equal) are those of the metric poses.  Positions (K, 3) m, fitted with scale, in the world of
+    equal) are those of the metric poses, or of all, fitted with scale, where the scale was never
+    known.  Positions (K, 3) m, fitted with scale, in the world of
     the first true pose, their errors (K,) m and times (K,) s are thinned out for pictures.
     """
 
@@ -93,6 +94,7 @@ def make_band_cell(
         report = ScaleReport(0.0, scale, metrics.ate_sim3_rmse_m, metrics.ate_rmse_m, None)
     metric = report.converged_after_s is not None
     fitted = aligned(comparison, Alignment.SIM3)
+    drift = metrics if metric else measure(fitted)
     T_first_world = inverse(truth.T_world_rig[0])
     return BandCell(
         flight,
@@ -106,8 +108,8 @@ def make_band_cell(
         sim3_ate_m=report.sim3_ate_m,
         se3_ate_m=report.se3_ate_m,
         worst_step_m=report.worst_step_m,
-        average_percent=metrics.avg_translation_error_percent if metric else None,
-        final_percent=metrics.final_error_percent if metric else None,
+        average_percent=drift.avg_translation_error_percent,
+        final_percent=drift.final_error_percent,
         frame_ms=frame_ms,
         statuses=statuses,
         times_s=thinned((comparison.stamps_ns - stamps_ns[0]) * 1e-9),

@@ -16,7 +16,10 @@ from thermal_stereo_vo.odometry.direct.patch_sums import (
     gather_patch,
     middle_slopes,
     middle_slopes_at_home,
+    relative_to_home,
+    share_slopes,
     view_patch,
+    warp_of_patch,
 )
 from thermal_stereo_vo.odometry.direct.photometric import (
     LAG,
@@ -27,7 +30,7 @@ from thermal_stereo_vo.odometry.direct.photometric import (
     patch_energy,
     resample_patch,
 )
-from thermal_stereo_vo.odometry.direct.window_equations import add_slopes, add_slopes_at_home
+from thermal_stereo_vo.odometry.direct.window_equations import add_slopes
 
 from .smooth_world import CAMERAS, T_RIG_CAMERA, smooth_image
 
@@ -96,15 +99,11 @@ def equations(J, r, weights):
     return J.T @ (weights[:, None] * J), J.T @ (weights * r)
 
 
-def gathered(seen, r, weights, at_home=None, looseness=0.0):
+def gathered(seen, r, weights, looseness=0.0):
     sums, w, tail = np.empty(SUMS), np.empty(10), np.empty(2)
     H, v = np.zeros((3, 10, 10)), np.zeros((3, 10))
     gather_patch(seen["view"], seen["patch"], GAIN, B_HOST, looseness, r, weights, sums)
     add_slopes(seen["G"], sums, 0, 1, H, v, w, tail)
-    if at_home is not None:
-        add_slopes_at_home(
-            seen["G"], *at_home, seen["patch"], GAIN, B_HOST, r, weights, 1, H, v, w, tail
-        )
     assert not H[[0, 2]].any()
     return np.triu(H[1]), v[1], w, tail
 
@@ -154,8 +153,29 @@ def test_what_a_patch_is_off_as_a_whole_is_eliminated(seen, rng):
     assert explained > 0.1 * energy
 
 
-def test_where_the_patch_itself_moves_too(seen, rng):
-    """A patch taken from another camera's image: by scale, lag and depth it moves there as well."""
+def plane_point(T, x, y):
+    q = T[:3, :3] @ [x, y, 1.0] + RHO_AT * T[:3, 3]
+    return q[:2] / q[2]
+
+
+def test_a_patch_is_distorted_as_its_neighbours_move():
+    T_home, T = exp_se3([0.15, 0.02, -0.03, 0.1, -0.2, 0.3]), exp_se3([0.1, -0.3, 0.2, -0.1, 0.2, 0])
+    warp, back = np.empty((2, 2)), np.empty((2, 2))
+    x, y = BEARING[:2]
+    warp_of_patch(T[None], 0, T_home[None], 0, x, y, RHO_AT, warp, back)
+    h = 1e-6
+
+    def slopes(T):
+        by_x = (plane_point(T, x + h, y) - plane_point(T, x - h, y)) / (2 * h)
+        by_y = (plane_point(T, x, y + h) - plane_point(T, x, y - h)) / (2 * h)
+        return np.column_stack([by_x, by_y])
+
+    np.testing.assert_allclose(warp, slopes(T) @ np.linalg.inv(slopes(T_home)), atol=1e-7)
+    np.testing.assert_allclose(warp @ back, np.eye(2), atol=1e-12)
+
+
+def at_home(rng, seen):
+    """The view of another camera's image at the host's time, and how that moves there."""
     arm, drift = np.array([0.15, 0.02, -0.01]), np.array([0.2, -0.1, 0.1, 0.1, -0.15, 0.3])
     T = exp_se3([0.15, 0.02, -0.03, 0.01, -0.02, 0.015])
     image = smooth_image(rng)
@@ -170,10 +190,37 @@ def test_where_the_patch_itself_moves_too(seen, rng):
     np.testing.assert_allclose(home[0], patch, atol=1e-3)
     moves = np.outer(home[1], G_home[0]) + np.outer(home[2], G_home[1])
     np.testing.assert_allclose(moves[MIDDLE], slopes[:, MIDDLE], rtol=1e-5, atol=1e-5)
+    return home, G_home, patch, trust
+
+
+def test_where_the_patch_itself_moves_too(seen, rng):
+    """A patch taken from another camera's image: by scale, lag and depth it moves there as well.
+
+    Where both views agree the equations are those of both motions with the slopes of each.
+    """
+    home, G_home, patch, trust = at_home(rng, seen)
+    warp, back = np.array([[1.1, 0.2], [-0.1, 0.9]]), np.linalg.inv([[1.1, 0.2], [-0.1, 0.9]])
     seen["patch"] = patch
     seen["G"][:, BY_LAG] = rng.normal(size=2)
+    seen["view"][1:] = GAIN * back.T @ home[1:]
     _, r, weights = compared(seen, trust)
     J = columns(seen)
-    J[:, [8, 9, 10]] -= GAIN * moves
-    expect(gathered(seen, r, weights, (G_home, seen["view"], home)), J, r, weights)
+    J[:, [8, 9, 10]] -= GAIN * (np.outer(home[1], G_home[0]) + np.outer(home[2], G_home[1]))
+    agreed = seen["view"].copy()
+    share_slopes(home, GAIN, back, seen["view"])
+    np.testing.assert_allclose(seen["view"], agreed, atol=1e-12)
+    relative_to_home(warp, np.stack([np.full((2, 3), np.nan), G_home]), 1, seen["G"])
+    expect(gathered(seen, r, weights), J, r, weights)
     assert (LOG_SCALE, BY_LAG, BY_RHO, LAG) == (6, 7, 8, 9)
+
+
+def test_what_moves_both_views_alike_is_not_seen_whatever_the_noise(seen, rng):
+    home, G_home, _, _ = at_home(rng, seen)
+    warp, back = np.array([[1.1, 0.2], [-0.1, 0.9]]), np.linalg.inv([[1.1, 0.2], [-0.1, 0.9]])
+    noisy, own = seen["view"].copy(), seen["view"].copy()
+    share_slopes(home, GAIN, back, noisy)
+    np.testing.assert_allclose(noisy[1:], 0.5 * (own[1:] + GAIN * back.T @ home[1:]), atol=1e-12)
+    seen["G"][:, LOG_SCALE:] = warp @ G_home
+    relative_to_home(warp, G_home[None], 0, seen["G"])
+    np.testing.assert_allclose(seen["G"][:, LOG_SCALE:], 0.0, atol=1e-15)
+    assert np.abs(seen["G"][:, :LOG_SCALE]).max() > 0.1

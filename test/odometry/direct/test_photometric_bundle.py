@@ -6,15 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from thermal_stereo_vo.core.transforms import exp_se3, inverse, log_se3
 from thermal_stereo_vo.evaluation.consistency import nees_band
-from thermal_stereo_vo.odometry.direct.photometric import take_patches
+from thermal_stereo_vo.odometry.direct.photometric import PATTERN, take_patches
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     HOLD,
     _Equations,
     _linearise,
     adjust_photometrically,
+    moved_by,
     noise_of,
     residuals_of_window,
     size_of,
@@ -24,6 +26,7 @@ from .smooth_world import window_problem
 
 HUBER, GATE = 15.0, 1e4
 SIZE = 10  # unknowns of a keyframe with two cameras
+MIDDLE = 4  # the pixel of the pattern without offset
 
 
 def moved(problem, step):
@@ -41,6 +44,59 @@ def _moved(problem, frames, depths):
         brightness=problem.brightness + frames[:, 6:].reshape(K, 2, 2),
         rhos=problem.rhos + depths,
     )
+
+
+def slopes_across(problem, n, t, J):
+    """Derivatives (8, U) of what the other camera sees of a point of another band, at ``t``.
+
+    Two images share the mean of their slopes; by brightness they are those of the residuals (J).
+    """
+    K, unknowns = len(problem.T_k_w), J.shape[1]
+    h, hc = problem.hosts[n], problem.host_cameras[n]
+    c = 1 - hc
+    step = 1.0 / problem.cameras[hc, :2]
+
+    def positions(frame, change, offset=(0.0, 0.0)):
+        """(8, 2) normalised coordinates in the other camera at ``frame``."""
+        frames, depths = change[: K * SIZE].reshape(K, SIZE), change[K * SIZE + 2 :]
+        log_scale, lag_s = change[K * SIZE : K * SIZE + 2]
+        now = _moved(problem, frames, depths)
+        T_rig_camera = now.T_rig_camera.copy()
+        T_rig_camera[:, :3, 3] *= np.exp(-log_scale)
+        late = moved_by(now.twists, now.lags_s + lag_s * now.bolometers)
+        T_h = late[h, hc] @ now.T_k_w[h]
+        T = inverse(T_rig_camera[c]) @ late[frame, c] @ now.T_k_w[frame]
+        T = T @ inverse(T_h) @ T_rig_camera[hc]
+        rays = np.column_stack([problem.bearings[n, :2] + PATTERN * step + offset, np.ones(8)])
+        q = rays @ T[:3, :3].T + now.rhos[n] * T[:3, 3]
+        return q[:, :2] / q[:, 2:]
+
+    def image_slopes(frame):
+        at = positions(frame, np.zeros(unknowns)) * problem.cameras[c, :2] + problem.cameras[c, 2:]
+        image = problem.images[c][frame].astype(np.float64)
+        taken = [map_coordinates(image[..., k], at.T[::-1], order=1) for k in (1, 2)]
+        return np.column_stack(taken) * problem.cameras[c, :2]
+
+    small, zero = 1e-6, np.zeros(unknowns)
+    warps = [
+        np.stack([(positions(f, zero, e) - positions(f, zero, -e)) / (2 * small)
+                  for e in small * np.eye(2)], axis=2)
+        for f in (t, h)
+    ]  # fmt: skip
+    # A patch moves and is distorted as its middle.
+    warp = warps[0][MIDDLE] @ np.linalg.inv(warps[1][MIDDLE])
+    gain = np.exp(problem.brightness[t, c, 0] - problem.brightness[h, c, 0])
+    home = image_slopes(h) @ np.linalg.inv(warp)
+    shared = 0.5 * (image_slopes(t) + gain * home)
+    out = J.copy()
+    for i in range(unknowns):
+        if i < K * SIZE and i % SIZE >= 6:
+            continue
+        e = small * np.eye(unknowns)[i]
+        there = (positions(t, e) - positions(t, -e)) / (2 * small)
+        at_home = (positions(h, e) - positions(h, -e)) / (2 * small)
+        out[:, i] = shared @ (there[MIDDLE] - warp @ at_home[MIDDLE])
+    return out
 
 
 @pytest.mark.parametrize("looseness", [0.0, 1.7])
@@ -63,6 +119,11 @@ def test_reduced_equations_are_those_of_the_dense_problem(rng, bands, looseness)
     for i in range(unknowns):
         h = 1e-3 * np.eye(unknowns)[i]
         J[:, i] = (moved(problem, h) - moved(problem, -h))[valid] / 2e-3
+    if bands:
+        J_patches = J.reshape(-1, 8, unknowns)
+        for m, (n, t, c) in enumerate(np.argwhere(valid[..., 0])):
+            if c != problem.host_cameras[n]:
+                J_patches[m] = slopes_across(problem, n, t, J_patches[m])
     trusts = np.broadcast_to(problem.trusts[:, None, None, :], residuals.shape).copy()
     if bands:  # trusts of patches that are sampled again are found there: here all the same
         trusts[problem.host_cameras == 0, :, 1] = trusts[problem.host_cameras == 1, :, 0] = 1.0
@@ -91,7 +152,7 @@ def test_reduced_equations_are_those_of_the_dense_problem(rng, bands, looseness)
     scale = np.sqrt(np.outer(np.diag(Hff), np.diag(Hff)))
     # Patches move as their middle does: in these small images that is some percent off.
     np.testing.assert_allclose(found.A / scale, expected_A / scale, atol=0.04)
-    np.testing.assert_allclose(found.h_rho, Hdd, rtol=0.08)
+    np.testing.assert_allclose(found.h_rho, Hdd, rtol=0.1)
     np.testing.assert_allclose(
         found.g / np.sqrt(np.diag(Hff)), expected_g / np.sqrt(np.diag(Hff)), atol=5.0
     )

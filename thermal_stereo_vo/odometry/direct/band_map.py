@@ -229,7 +229,7 @@ class BandMap:
             )
         self._keyframes += 1
         self._most[:] = 0
-        points = window.points()
+        points = self._leading_points()
         self.rho = float(np.median(points.rhos)) if len(points) > 0 else 1.0
 
     def _new_points(
@@ -263,9 +263,7 @@ class BandMap:
             )
         view = frame.views[self._images.roles[camera]]
         pixels = select_points(pyramid[0], occupied_px, view.mask, selection)
-        known = window.points()
-        if not self.is_metric:
-            known = known.take(np.flatnonzero(known.host_cameras == 0))
+        known = self._leading_points()
         rhos = None
         if len(known) > 0:
             T_rig_host = (T @ window.T_world_host)[known.hosts, known.host_cameras]
@@ -274,9 +272,16 @@ class BandMap:
             rhos = np.full(len(pixels), self.rho)
         return pixels, random_depths(len(pixels), self._rng) if rhos is None else rhos
 
+    def _leading_points(self) -> PointSet:
+        """All points; before the size is known those of the first camera, the others' lie apart."""
+        points = self.window.points()
+        if self.is_metric:
+            return points
+        return points.take(np.flatnonzero(points.host_cameras == 0))
+
     def _dispensable(self, T_new: NDArray[np.float64]) -> int:
         window, order = self.window, self.window.poses.order
-        points = window.points()
+        points = self._leading_points()
         inside = np.zeros(len(points), np.bool_)
         for camera, (height, width) in enumerate(window.rig.shapes):
             at = window.pixels_in(points, camera, T_new)
@@ -293,7 +298,7 @@ class BandMap:
 
     def adjustment(self) -> Callable[[], MapUpdate | None]:
         """The work that the newest keyframe makes, on a copy: for another thread."""
-        problem, points = self.window.problem(across=self.is_metric)
+        problem, points = self.window.problem()
         first = self._keyframes <= _FIRST_KEYFRAMES
         return lambda: self._adjust(problem, points, first)
 
@@ -310,6 +315,7 @@ class BandMap:
         else:
             seen = problem.seen.copy()
             seen[problem.host_cameras > 0] = False
+            seen[..., 1:] = False
             alone = replace(problem, seen=seen)
             hold = HOLD
         solution = adjust_photometrically(

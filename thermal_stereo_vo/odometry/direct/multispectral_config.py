@@ -86,7 +86,7 @@ class ScaleConfig:
         6, "Adjustments that must have told the scale before it is believed.", minimum=3, maximum=50
     )
     sigma: float = setting(
-        0.027,
+        0.02,
         "Relative standard deviation of the scale with which it is believed.",
         minimum=0.001,
         maximum=0.5,

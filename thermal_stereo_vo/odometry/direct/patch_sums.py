@@ -201,3 +201,64 @@ def middle_slopes_at_home(T, arm, drift, camera, x, y, rho, G):  # type: ignore[
     G[1, 1] = (lag1 - v * lag2) * iz
     G[0, 2] = (t0 - u * t2) * iz
     G[1, 2] = (t1 - v * t2) * iz
+
+
+@njit(cache=True, nogil=True)
+def warp_of_patch(T, at, T_home, camera, x, y, rho, warp, back):  # type: ignore[no-untyped-def]
+    """Write how a patch is distorted from where it was seen at home to the target, and ``back``.
+
+    Both (2, 2), between normalised planes; ``T`` (M, 4, 4) target from host camera, that ``at``;
+    ``T_home`` (C, 4, 4) as ``T`` of ``middle_slopes_at_home``.
+    """
+    u0, u1, v0, v1 = _plane_slopes(T, at, x, y, rho)
+    p0, p1, q0, q1 = _plane_slopes(T_home, camera, x, y, rho)
+    there, home = 1.0 / (u0 * v1 - u1 * v0), 1.0 / (p0 * q1 - p1 * q0)
+    warp[0, 0], warp[0, 1] = (u0 * q1 - u1 * q0) * home, (u1 * p0 - u0 * p1) * home
+    warp[1, 0], warp[1, 1] = (v0 * q1 - v1 * q0) * home, (v1 * p0 - v0 * p1) * home
+    back[0, 0], back[0, 1] = (p0 * v1 - p1 * v0) * there, (p1 * u0 - p0 * u1) * there
+    back[1, 0], back[1, 1] = (q0 * v1 - q1 * v0) * there, (q1 * u0 - q0 * u1) * there
+
+
+@njit(cache=True, nogil=True)
+def _plane_slopes(T, at, x, y, rho):  # type: ignore[no-untyped-def]
+    """Derivatives of the normalised coordinates (u, v) in a camera by x and y of the host."""
+    q0 = T[at, 0, 0] * x + T[at, 0, 1] * y + T[at, 0, 2] + rho * T[at, 0, 3]
+    q1 = T[at, 1, 0] * x + T[at, 1, 1] * y + T[at, 1, 2] + rho * T[at, 1, 3]
+    q2 = T[at, 2, 0] * x + T[at, 2, 1] * y + T[at, 2, 2] + rho * T[at, 2, 3]
+    iz = 1.0 / q2
+    u, v = q0 * iz, q1 * iz
+    return (
+        (T[at, 0, 0] - u * T[at, 2, 0]) * iz,
+        (T[at, 0, 1] - u * T[at, 2, 1]) * iz,
+        (T[at, 1, 0] - v * T[at, 2, 0]) * iz,
+        (T[at, 1, 1] - v * T[at, 2, 1]) * iz,
+    )
+
+
+@njit(cache=True, nogil=True)
+def share_slopes(home, gain, back, view):  # type: ignore[no-untyped-def]
+    """Give ``view`` (3, 8) the mean slopes of both views of a patch, in the target's plane.
+
+    ``home`` (3, 8) is the view at the host's time, ``gain`` times as bright there; ``back`` as of
+    ``warp_of_patch``.  The slopes are equal where the views agree.  Where they differ by noise, a
+    motion that moves both alike must not count as seen: with slopes of their own its two parts
+    (Dai et al. 2019, below eq. 6) do not cancel, and the scale looks some four times as well known
+    as it is.
+    """
+    half = 0.5 * gain
+    for k in range(PIXELS):
+        x, y = home[1, k], home[2, k]
+        view[1, k] = 0.5 * view[1, k] + half * (back[0, 0] * x + back[1, 0] * y)
+        view[2, k] = 0.5 * view[2, k] + half * (back[0, 1] * x + back[1, 1] * y)
+
+
+@njit(cache=True, nogil=True)
+def relative_to_home(warp, G_home, at, G):  # type: ignore[no-untyped-def]
+    """Take from ``G`` (2, SLOPES) how the patch itself moves, ``G_home`` (N, 2, 3), that ``at``.
+
+    Scale, lag and depth move it at home too; ``warp`` as of ``warp_of_patch``.
+    """
+    for j in range(3):
+        p, q = G_home[at, 0, j], G_home[at, 1, j]
+        G[0, LOG_SCALE + j] -= warp[0, 0] * p + warp[0, 1] * q
+        G[1, LOG_SCALE + j] -= warp[1, 0] * p + warp[1, 1] * q

@@ -236,7 +236,7 @@ class PhotometricWindow:
             return
         mine = self.points()
         mine = mine.take(np.flatnonzero(mine.hosts == slot))
-        problem, _ = self.problem(points=mine)
+        problem, _ = self.problem(mine)
         self._prior = left_behind(
             problem,
             self.poses.order.index(slot),
@@ -290,14 +290,12 @@ class PhotometricWindow:
         self._hosts[free[usable]] = slot
         return int(usable.sum())
 
-    def problem(
-        self, *, across: bool = True, points: PointSet | None = None
-    ) -> tuple[PhotometricProblem, PointSet]:
+    def problem(self, points: PointSet | None = None) -> tuple[PhotometricProblem, PointSet]:
         """A copy of everything the adjustment needs (images aside), and its points (default all).
 
         Each keyframe looks for the points of the others with the camera that hosts them.  The other
-        camera, where it counts (``across``), sees them in their own keyframe (static stereo), or
-        in all others when it is of another band.
+        camera sees them in their own keyframe (static stereo), or in all others when it is of
+        another band.
         """
         points = self.points() if points is None else points
         slots = np.array(self.poses.order)
@@ -309,9 +307,9 @@ class PhotometricWindow:
         at_home = (hosts[:, None] == np.arange(len(slots)))[:, :, None]
         own = (points.host_cameras[:, None] == np.arange(len(self.rig.cameras)))[:, None, :]
         seen = own & ~at_home
-        if across and self.rig.bands:
+        if self.rig.bands:
             seen = seen | (~own & ~at_home & self.has_image[points.hosts][:, None, :])
-        elif across:
+        else:
             seen = seen | (~own & at_home)
         seen &= self.has_image[slots]
         patches, trusts = self.patches(points, 0)

@@ -17,7 +17,6 @@ from thermal_stereo_vo.odometry.direct.patch_sums import (
     BR,
     BY_LAG,
     BY_RHO,
-    LOG_SCALE,
     SLOPES,
     SUMS,
     XA,
@@ -33,7 +32,10 @@ from thermal_stereo_vo.odometry.direct.patch_sums import (
     gather_patch,
     middle_slopes,
     middle_slopes_at_home,
+    relative_to_home,
+    share_slopes,
     view_patch,
+    warp_of_patch,
 )
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 
@@ -70,6 +72,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
     group_trust, group_G = np.empty(count), np.empty((count, 2, 3))
     patch, trusts_here = np.empty(PIXELS), np.empty(PIXELS)
     home, G_home = np.empty((3, PIXELS)), np.empty((2, 3))
+    warp, warp_back = np.empty((2, 2)), np.empty((2, 2))
     T, T_h_inv, T_w_hc = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     T_c_hc, arms = np.empty((C, 4, 4)), np.empty((K * C, 2, 3))
     drifts, drift_c, Ad_c = np.zeros((K, C, 6)), np.zeros((C, 6)), np.zeros((6, 6))
@@ -199,6 +202,12 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         cost += limit * trust
                         continue
                     cost += energy
+                    if across:
+                        for k in range(PIXELS):
+                            home[1, k] = group[n - start, 2, k]
+                            home[2, k] = group[n - start, 3, k]
+                        warp_of_patch(T_there, pair, T_c_hc, c, x, y, rhos[n], warp, warp_back)
+                        share_slopes(home, gain, warp_back, view)
                     cost -= gather_patch(view, patch, gain, b_slope, loose, r, weights, sums)
                     if asked:
                         own[:] = pair_g[pair]
@@ -211,20 +220,11 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         G[m, BY_LAG] = 0.0
                         for i in range(POSE):
                             G[m, BY_LAG] += G[m, i] * drifts[t, c, i]
+                    if across:
+                        relative_to_home(warp, group_G, n - start, G)
                     # In its own host a point moves with the rig: only depth and brightness count.
                     first = POSE if t == h else 0
                     add_slopes(G, sums, first, pair, pair_A, pair_g, w, tail)
-                    if across:
-                        for k in range(PIXELS):
-                            home[1, k] = group[n - start, 2, k]
-                            home[2, k] = group[n - start, 3, k]
-                        for i in range(3):
-                            G_home[0, i] = group_G[n - start, 0, i]
-                            G_home[1, i] = group_G[n - start, 1, i]
-                        add_slopes_at_home(
-                            G, G_home, view, home, patch, gain, b_slope, r, weights, pair, pair_A,
-                            pair_g, w, tail,
-                        )  # fmt: skip
                     if asked:
                         for i in range(_PAIR):
                             own[i] = pair_g[pair, i] - own[i]
@@ -292,69 +292,6 @@ def add_slopes(G, sums, first, pair, H, v, w, tail):  # type: ignore[no-untyped-
     H[pair, 6, 6] += sums[AA]
     H[pair, 6, 7] += sums[AB]
     H[pair, 7, 7] += sums[BB]
-
-
-@njit(cache=True, nogil=True)
-def add_slopes_at_home(  # type: ignore[no-untyped-def]
-    G, G_home, view, home, patch, gain, b_host, r, weights, pair, H, v, w, tail
-):
-    """Add what moves the patch itself, where it is taken from another camera's image.
-
-    Scale, lag and depth move it by ``G_home`` (2, 3); comes after ``add_slopes``.
-    """
-    # Weighted products of the patch's slopes with all others.
-    pp = pq = qq = 0.0
-    px = py = pa = pb = pr = 0.0
-    qx = qy = qa = qb = qr = 0.0
-    for k in range(PIXELS):
-        p, q = -gain * home[1, k], -gain * home[2, k]
-        x, y, a = view[1, k], view[2, k], gain * (b_host - patch[k])
-        wp, wq = weights[k] * p, weights[k] * q
-        pp += wp * p
-        pq += wp * q
-        qq += wq * q
-        px += wp * x
-        py += wp * y
-        pa += wp * a
-        pb -= wp
-        pr += wp * r[k]
-        qx += wq * x
-        qy += wq * y
-        qa += wq * a
-        qb -= wq
-        qr += wq * r[k]
-    for j in range(3):
-        p, q = G_home[0, j], G_home[1, j]
-        # The column without its own part times this part, then both ways.
-        by_x, by_y = p * px + q * qx, p * py + q * qy
-        by_a, by_b = p * pa + q * qa, p * pb + q * qb
-        right = p * pr + q * qr
-        if j == 2:
-            for i in range(SLOPES - 1):
-                w[i if i < POSE else i + 2] += G[0, i] * by_x + G[1, i] * by_y
-            w[6] += by_a
-            w[7] += by_b
-            for i in range(2):
-                own = G_home[0, i], G_home[1, i]
-                w[8 + i] += own[0] * (pp * p + pq * q) + own[1] * (pq * p + qq * q)
-                cross_x, cross_y = own[0] * px + own[1] * qx, own[0] * py + own[1] * qy
-                w[8 + i] += G[0, BY_RHO] * cross_x + G[1, BY_RHO] * cross_y
-            tail[0] += 2.0 * (G[0, BY_RHO] * by_x + G[1, BY_RHO] * by_y)
-            tail[0] += p * (pp * p + pq * q) + q * (pq * p + qq * q)
-            tail[1] += right
-        else:
-            at = 8 + j
-            for i in range(POSE):
-                H[pair, i, at] += G[0, i] * by_x + G[1, i] * by_y
-            H[pair, 6, at] += by_a
-            H[pair, 7, at] += by_b
-            v[pair, at] -= right
-            for i in range(2):
-                both = G[0, LOG_SCALE + i] * by_x + G[1, LOG_SCALE + i] * by_y
-                H[pair, min(at, 8 + i), max(at, 8 + i)] += both * (2.0 if i == j else 1.0)
-            for i in range(j + 1):
-                own = G_home[0, i], G_home[1, i]
-                H[pair, 8 + i, at] += own[0] * (pp * p + pq * q) + own[1] * (pq * p + qq * q)
 
 
 @njit(cache=True, nogil=True)
