@@ -140,9 +140,11 @@ def test_a_motion_changes_by_where_it_is_seen_from(rng):
 @pytest.mark.parametrize(
     ("degrees", "sigma_deg", "windows", "off"),
     [
-        (2.0, 0.05, 4, True),
-        (2.0, 0.05, 3, False),  # too few
-        (2.0, 0.4, 4, False),  # too unsure
+        (2.5, 0.05, 4, True),
+        (2.5, 0.05, 3, False),  # too few
+        (2.5, 0.4, 4, False),  # too unsure
+        (1.9, 0.01, 7, False),  # twice as much is allowed to few
+        (1.1, 0.01, 8, True),
         (0.9, 0.01, 8, False),  # within what is allowed
     ],
 )
@@ -151,16 +153,27 @@ def test_only_what_is_sure_is_told(degrees, sigma_deg, windows, off):
     information = np.eye(3) / np.radians(sigma_deg) ** 2
     for _ in range(windows):
         check.add(Turn(np.radians([0.0, degrees, 0.0]), information))
-    assert (check.off_rad() is not None) == off
+    assert (check.off_rad is not None) == off
     if off:
-        assert check.off_rad() == pytest.approx(np.radians(degrees))
+        assert check.off_rad == pytest.approx(np.radians(degrees))
+
+
+@pytest.mark.parametrize(("degrees", "stays"), [(0.7, True), (0.3, False)])
+def test_what_is_told_stays_told_until_it_is_much_less(degrees, stays):
+    check = RigCheck(np.radians(1.0))
+    for _ in range(4):
+        check.add(Turn(np.radians([0.0, 3.0, 0.0]), 1e6 * np.eye(3)))
+    assert check.off_rad == pytest.approx(np.radians(3.0))
+    for _ in range(12):
+        check.add(Turn(np.radians([0.0, degrees, 0.0]), 1e6 * np.eye(3)))
+    assert check.off_rad == (pytest.approx(np.radians(degrees)) if stays else None)
 
 
 def test_one_wild_window_tells_nothing():
     check = RigCheck(np.radians(1.0))
     for degrees in (0.1, -0.1, 0.05, 0.0, 6.0):
         check.add(Turn(np.radians([degrees, 0.0, 0.0]), 1e6 * np.eye(3)))
-    assert check.off_rad() is None
+    assert check.off_rad is None
 
 
 @pytest.mark.parametrize("has_told_scale", [False, True])
@@ -168,4 +181,4 @@ def test_a_camera_that_has_told_the_scale_is_not_upside_down(has_told_scale):
     check = RigCheck(np.radians(1.0))
     for _ in range(4):
         check.add(Turn(np.zeros(3), np.eye(3), is_half=True), has_told_scale=has_told_scale)
-    assert check.off_rad() == (None if has_told_scale else np.pi)
+    assert check.off_rad == (None if has_told_scale else np.pi)

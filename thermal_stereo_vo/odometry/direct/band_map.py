@@ -384,7 +384,7 @@ class BandMap:
 
     def _check_rig(self, turn: Turn) -> None:
         self._rig_check.add(turn, has_told_scale=self.is_metric)
-        off_rad = self._rig_check.off_rad()
+        off_rad = self._rig_check.off_rad
         self.rig_fault = None
         if off_rad is not None:
             self.rig_fault = (

@@ -121,7 +121,7 @@ class MultispectralConfig:
         maximum=1.0,
     )
     rig_check_deg: float = setting(
-        1.0,
+        0.5,
         "Error of the calibrated rotation between the cameras, as their images tell it, that makes "
         "the status DEGRADED and keeps the scale unknown.",
         unit="deg",

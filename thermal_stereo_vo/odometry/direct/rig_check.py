@@ -34,8 +34,11 @@ _ITERATIONS = 12
 _ARM_SIGMA = 0.5
 _TURN_SIGMA_RAD = 0.3
 """Keeps turns that nothing shows, as that about the way straight ahead, from running away."""
-_MEMORY = 8
-_LEAST_WINDOWS = 4
+_MEMORY = 12
+_LEAST_WINDOWS, _MANY_WINDOWS = 4, 8
+_FEW = 2.0
+"""So many times the limit is asked of fewer than many windows: depths have yet to settle."""
+_RELIEF = 0.5
 _SIGMAS = 3.0
 _LEAST_FITS, _LEAST_ANYWHERE = 0.8, 0.25
 _BY_FAR = 0.6
@@ -58,11 +61,17 @@ class Turn:
 
 
 class RigCheck:
-    """Gathers what windows say of the turn of the second camera."""
+    """Gathers what windows say of the turn of the second camera.
+
+    What is told stays told until windows say less than half of the limit: the map gives way to a
+    wrong rig, which then looks better than it is.
+    """
 
     def __init__(self, limit_rad: float) -> None:
         self._limit_rad = limit_rad
         self._recent: deque[Turn] = deque(maxlen=_MEMORY)
+        self.off_rad: float | None = None
+        """By how much the camera is turned against the rig; None while it may well be right."""
 
     def add(self, turn: Turn, *, has_told_scale: bool = False) -> None:
         """Take in what a window said.
@@ -70,32 +79,35 @@ class RigCheck:
         A camera that has told the scale is neither upside down nor mirrored: a later window that
         looks so shows too little.
         """
-        if not (turn.is_half and has_told_scale):
-            self._recent.append(turn)
-
-    def off_rad(self) -> float | None:
-        """By how much the camera is turned against the rig; None while it may well be right."""
-        if len(self._recent) < _LEAST_WINDOWS:
-            return None
+        if turn.is_half and has_told_scale:
+            return
+        self._recent.append(turn)
         half = [turn.is_half for turn in self._recent]
+        if len(half) < _LEAST_WINDOWS:
+            return
         if all(half[-_LEAST_WINDOWS:]):
-            return np.pi
-        if any(half):
-            return None
+            self.off_rad = np.pi
+        elif not any(half):
+            self.off_rad = self._angle()
+
+    def _angle(self) -> float | None:
         information = np.sum([turn.information for turn in self._recent], axis=0)
         pull = np.sum([turn.information @ turn.turn_rad for turn in self._recent], axis=0)
         if np.linalg.eigvalsh(information)[0] <= 0.0:
-            return None
+            return self.off_rad
         covariance = np.linalg.inv(information)
         turn_rad = covariance @ pull
         angle = float(np.linalg.norm(turn_rad))
-        if angle < self._limit_rad:
+        if angle < _RELIEF * self._limit_rad:
             return None
         axis = turn_rad / angle
         sigma = float(np.sqrt(_TRUST * axis @ covariance @ axis))
         usual = float(np.median([turn.turn_rad @ axis for turn in self._recent]))
-        sure = min(angle - _SIGMAS * sigma, usual) > self._limit_rad
-        return angle if sure else None
+        limit_rad = self._limit_rad
+        if len(self._recent) < _MANY_WINDOWS:
+            limit_rad *= _FEW
+        sure = min(angle - _SIGMAS * sigma, usual) > limit_rad
+        return angle if sure or self.off_rad is not None else None
 
 
 def turn_of_second(
