@@ -214,6 +214,22 @@ def test_motion_that_tells_no_scale_is_said_to_tell_none(path):
         assert np.linalg.norm(found, axis=1).max() < 0.01
 
 
+def test_before_the_scale_is_known_the_second_camera_has_no_say():
+    """The first one flies as it does alone: keyframes, depths and what is given up."""
+    poses, room, rng = sliding(60), Room(4), np.random.default_rng(6)
+    frames = [room.frame(i, T, rng) for i, T in enumerate(poses)]
+    both = fly(odometry("multispectral.keyframes.parallax_px=2"), frames)
+    alone = fly(
+        odometry("multispectral.keyframes.parallax_px=2"),
+        [without(frame, THERMAL) for frame in frames],
+    )
+    assert sum(result.stats.keyframe for result in both) > 9  # more than there is room for
+    assert not any(result.scale_converged for result in both)
+    for one, other in zip(both, alone, strict=True):
+        assert one.stats.keyframe == other.stats.keyframe
+        np.testing.assert_allclose(one.T_world_rig, other.T_world_rig, atol=1e-9)
+
+
 @pytest.mark.parametrize("role", [VISIBLE, THERMAL])
 def test_one_camera_alone_makes_a_map_without_unit(flight, role):
     frames, poses = flight

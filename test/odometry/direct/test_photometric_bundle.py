@@ -272,7 +272,8 @@ def with_images(problem, change):
     pixels = problem.bearings[:, :2] * 150.0 + [80.0, 60.0]
     for n, host in enumerate(problem.hosts):
         own = slice(n, n + 1)
-        take_patches(images[0][host], pixels[own], 1.0, 50.0, patches[own], trusts[own])
+        camera = problem.host_cameras[n]
+        take_patches(images[camera][host], pixels[own], 1.0, 50.0, patches[own], trusts[own])
     return replace(problem, images=images, patches=patches, trusts=trusts)
 
 
@@ -420,6 +421,31 @@ def test_turns_tell_how_large_the_map_is(rng, unit):
     assert solution.log_scale == pytest.approx(-np.log(unit), abs=0.02)
     assert 1e-5 < solution.log_scale_sigma < 0.05
     assert size_of(solution.T_k_w) == pytest.approx(size_of(problem.T_k_w), rel=1e-3)
+
+
+def test_noise_is_no_information_on_the_scale():
+    """Where the other camera compares two views of its own, noise of slopes must not count."""
+    errors, sigmas = [], []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+
+        def noisy(stack, rng=rng):
+            image = stack[..., 0] + 3.0 * rng.normal(size=stack.shape[:3])
+            slopes = np.gradient(image, axis=2), np.gradient(image, axis=1)
+            return np.stack([image, *slopes], axis=-1).astype(np.float32)
+
+        truth = two_bands(np.random.default_rng(7))
+        problem = with_images(truth, noisy)
+        problem.seen[...] = True
+        problem.seen[np.arange(60), problem.hosts] = False
+        solution = adjust_photometrically(
+            problem, huber=9.0, gate=25.0, iterations=25, free_scale=True, hold=HOLD
+        )
+        errors.append(solution.log_scale)
+        sigmas.append(solution.log_scale_sigma)
+    assert 0.05 < np.median(sigmas) < 0.3
+    assert 0.6 < np.sqrt(np.mean(np.square(np.array(errors) / sigmas))) < 1.7
+    assert abs(np.mean(errors)) < 0.1
 
 
 def test_without_a_turn_the_scale_stays_open(rng):

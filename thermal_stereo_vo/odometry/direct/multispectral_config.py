@@ -92,7 +92,7 @@ class ScaleConfig:
         maximum=0.5,
     )
     drift: float = setting(
-        0.0045,
+        0.007,
         "Relative error of the size that grows from keyframe to keyframe (1 sigma): more "
         "follows drift faster, less averages over more windows.",
         minimum=1e-6,
