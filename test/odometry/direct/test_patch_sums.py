@@ -159,7 +159,10 @@ def plane_point(T, x, y):
 
 
 def test_a_patch_is_distorted_as_its_neighbours_move():
-    T_home, T = exp_se3([0.15, 0.02, -0.03, 0.1, -0.2, 0.3]), exp_se3([0.1, -0.3, 0.2, -0.1, 0.2, 0])
+    T_home, T = (
+        exp_se3([0.15, 0.02, -0.03, 0.1, -0.2, 0.3]),
+        exp_se3([0.1, -0.3, 0.2, -0.1, 0.2, 0]),
+    )
     warp, back = np.empty((2, 2)), np.empty((2, 2))
     x, y = BEARING[:2]
     warp_of_patch(T[None], 0, T_home[None], 0, x, y, RHO_AT, warp, back)

@@ -21,6 +21,13 @@ class BandPhotometricConfig(PhotometricConfig):
         minimum=0.0,
         maximum=100.0,
     )
+    marginal_weight: float = setting(
+        0.5,
+        "What the residuals of a keyframe that leaves the window count from then on (marginalised, "
+        "with first-estimate Jacobians), once the scale is known; 0 forgets them.",
+        minimum=0.0,
+        maximum=1.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,7 @@ class ScaleConfig:
         maximum=0.5,
     )
     drift: float = setting(
-        0.007,
+        0.0045,
         "Relative error of the size that grows from keyframe to keyframe (1 sigma): more "
         "follows drift faster, less averages over more windows.",
         minimum=1e-6,
