@@ -165,7 +165,7 @@ def test_a_patch_is_distorted_as_its_neighbours_move():
     )
     warp, back = np.empty((2, 2)), np.empty((2, 2))
     x, y = BEARING[:2]
-    warp_of_patch(T[None], 0, T_home[None], 0, x, y, RHO_AT, warp, back)
+    assert warp_of_patch(T[None], 0, T_home[None], 0, x, y, RHO_AT, warp, back)
     h = 1e-6
 
     def slopes(T):
@@ -175,6 +175,10 @@ def test_a_patch_is_distorted_as_its_neighbours_move():
 
     np.testing.assert_allclose(warp, slopes(T) @ np.linalg.inv(slopes(T_home)), atol=1e-7)
     np.testing.assert_allclose(warp @ back, np.eye(2), atol=1e-12)
+    # The plane at the depth of the patch goes through the camera: what it shows is a line.
+    beside = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0.5 / RHO_AT], [0, 0, 0, 1]])
+    beside[0, 3] = -1.0 / RHO_AT
+    assert not warp_of_patch(beside[None], 0, T_home[None], 0, x, y, RHO_AT, warp, back)
 
 
 def at_home(rng, seen):

@@ -208,15 +208,20 @@ def warp_of_patch(T, at, T_home, camera, x, y, rho, warp, back):  # type: ignore
     """Write how a patch is distorted from where it was seen at home to the target, and ``back``.
 
     Both (2, 2), between normalised planes; ``T`` (M, 4, 4) target from host camera, that ``at``;
-    ``T_home`` (C, 4, 4) as ``T`` of ``middle_slopes_at_home``.
+    ``T_home`` (C, 4, 4) as ``T`` of ``middle_slopes_at_home``.  False where the patch is seen from
+    the side.
     """
     u0, u1, v0, v1 = _plane_slopes(T, at, x, y, rho)
     p0, p1, q0, q1 = _plane_slopes(T_home, camera, x, y, rho)
-    there, home = 1.0 / (u0 * v1 - u1 * v0), 1.0 / (p0 * q1 - p1 * q0)
+    there, home = u0 * v1 - u1 * v0, p0 * q1 - p1 * q0
+    if there == 0.0 or home == 0.0:
+        return False
+    there, home = 1.0 / there, 1.0 / home
     warp[0, 0], warp[0, 1] = (u0 * q1 - u1 * q0) * home, (u1 * p0 - u0 * p1) * home
     warp[1, 0], warp[1, 1] = (v0 * q1 - v1 * q0) * home, (v1 * p0 - v0 * p1) * home
     back[0, 0], back[0, 1] = (p0 * v1 - p1 * v0) * there, (p1 * u0 - p0 * u1) * there
     back[1, 0], back[1, 1] = (q0 * v1 - q1 * v0) * there, (q1 * u0 - q0 * u1) * there
+    return True
 
 
 @njit(cache=True, nogil=True)

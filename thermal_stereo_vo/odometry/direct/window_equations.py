@@ -190,6 +190,11 @@ def linearise_window(  # type: ignore[no-untyped-def]
                     ):
                         cost += limit * trust
                         continue
+                    if across and not warp_of_patch(
+                        T_there, pair, T_c_hc, c, x, y, rhos[n], warp, warp_back
+                    ):
+                        cost += limit * trust
+                        continue
                     for k in range(PIXELS):
                         patch[k] = group[n - start, 0, k]
                         trusts_here[k] = group[n - start, 1, k]
@@ -206,7 +211,6 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         for k in range(PIXELS):
                             home[1, k] = group[n - start, 2, k]
                             home[2, k] = group[n - start, 3, k]
-                        warp_of_patch(T_there, pair, T_c_hc, c, x, y, rhos[n], warp, warp_back)
                         share_slopes(home, gain, warp_back, view)
                     cost -= gather_patch(view, patch, gain, b_slope, loose, r, weights, sums)
                     if asked:
