@@ -143,9 +143,9 @@ def test_a_motion_changes_by_where_it_is_seen_from(rng):
         (2.5, 0.05, 4, True),
         (2.5, 0.05, 3, False),  # too few
         (2.5, 0.4, 4, False),  # too unsure
-        (1.9, 0.01, 7, False),  # twice as much is allowed to few
-        (1.1, 0.01, 8, True),
-        (0.9, 0.01, 8, False),  # within what is allowed
+        (1.9, 0.01, 15, False),  # twice as much is allowed to the first ones
+        (1.1, 0.01, 16, True),
+        (0.9, 0.01, 16, False),  # within what is allowed
     ],
 )
 def test_only_what_is_sure_is_told(degrees, sigma_deg, windows, off):

@@ -35,9 +35,9 @@ _ARM_SIGMA = 0.5
 _TURN_SIGMA_RAD = 0.3
 """Keeps turns that nothing shows, as that about the way straight ahead, from running away."""
 _MEMORY = 12
-_LEAST_WINDOWS, _MANY_WINDOWS = 4, 8
-_FEW = 2.0
-"""So many times the limit is asked of fewer than many windows: depths have yet to settle."""
+_LEAST_WINDOWS, _FIRST_WINDOWS = 4, 16
+_AT_FIRST = 2.0
+"""The first windows, whose depths have yet to settle, are asked for so many times the limit."""
 _RELIEF = 0.5
 _SIGMAS = 3.0
 _LEAST_FITS, _LEAST_ANYWHERE = 0.8, 0.25
@@ -70,6 +70,7 @@ class RigCheck:
     def __init__(self, limit_rad: float) -> None:
         self._limit_rad = limit_rad
         self._recent: deque[Turn] = deque(maxlen=_MEMORY)
+        self._count = 0
         self.off_rad: float | None = None
         """By how much the camera is turned against the rig; None while it may well be right."""
 
@@ -82,6 +83,7 @@ class RigCheck:
         if turn.is_half and has_told_scale:
             return
         self._recent.append(turn)
+        self._count += 1
         half = [turn.is_half for turn in self._recent]
         if len(half) < _LEAST_WINDOWS:
             return
@@ -104,8 +106,8 @@ class RigCheck:
         sigma = float(np.sqrt(_TRUST * axis @ covariance @ axis))
         usual = float(np.median([turn.turn_rad @ axis for turn in self._recent]))
         limit_rad = self._limit_rad
-        if len(self._recent) < _MANY_WINDOWS:
-            limit_rad *= _FEW
+        if self._count < _FIRST_WINDOWS:
+            limit_rad *= _AT_FIRST
         sure = min(angle - _SIGMAS * sigma, usual) > limit_rad
         return angle if sure or self.off_rad is not None else None
 
