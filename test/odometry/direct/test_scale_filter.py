@@ -12,14 +12,14 @@ WORTH = 56.0
 
 
 def filter_of(variance, drift):
-    found = ScaleFilter(drift)
+    found = ScaleFilter(drift, 0.0)
     found.update(0.0, np.sqrt(variance / WORTH))
     assert found.sigma == pytest.approx(np.sqrt(variance))
     return found
 
 
 def test_before_the_first_window_nothing_is_known():
-    found = ScaleFilter(0.001)
+    found = ScaleFilter(0.001, 0.0)
     assert np.isinf(found.sigma)
     found.update(0.7, np.inf)
     assert (found.count, found.log_scale) == (0, 0.0)
@@ -34,8 +34,21 @@ def test_windows_that_tell_nothing_leave_the_drift():
     assert found.count == 1
 
 
+def test_a_young_map_drifts_more():
+    found = ScaleFilter(0.001, 0.05)
+    variances = []
+    found.update(0.0, 1e-9)
+    for _ in range(100):
+        variances.append(found.sigma**2)
+        found.update(0.0, np.inf)
+    grown = np.sqrt(np.diff(variances))
+    assert grown[0] == pytest.approx(np.hypot(0.001, 0.05 * np.exp(-1 / 12)))
+    assert grown[11] == pytest.approx(np.hypot(0.001, 0.05 * np.exp(-1)))
+    assert grown[-1] == pytest.approx(0.001, rel=0.01)
+
+
 def test_without_drift_windows_are_averaged_as_they_weigh():
-    found = ScaleFilter(0.0)
+    found = ScaleFilter(0.0, 0.0)
     for log_scale, sigma in [(1.0, 0.01), (1.3, 0.02), (1.1, 0.01), (0.9, 0.02)]:
         found.update(log_scale, sigma)
     assert found.log_scale == pytest.approx((4 * 1.0 + 1.3 + 4 * 1.1 + 0.9) / 10)
@@ -53,7 +66,7 @@ def test_one_window_far_off_moves_little():
 
 @pytest.mark.parametrize(("scatter", "agrees"), [(1.0, True), (10.0, False)])
 def test_windows_that_scatter_more_than_they_claim_do_not_agree(rng, scatter, agrees):
-    found = ScaleFilter(0.003)
+    found = ScaleFilter(0.003, 0.0)
     assert not found.agrees
     for _ in range(40):
         found.update(1.0 + scatter * rng.normal(0.0, 0.02 * 4.0), 0.02)
@@ -79,7 +92,7 @@ def test_the_variance_is_that_of_errors_of_the_map(rng):
 def test_it_finds_the_size_and_says_how_well(rng):
     errors = []
     for _ in range(200):
-        found, true = ScaleFilter(0.003), 1.2
+        found, true = ScaleFilter(0.003, 0.0), 1.2
         for _ in range(40):
             true += rng.normal(0.0, 0.003)
             found.update(true + rng.normal(0.0, 0.02 * np.sqrt(WORTH)), 0.02)

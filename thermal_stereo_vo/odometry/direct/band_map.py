@@ -93,7 +93,7 @@ class BandMap:
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
         self._search = ScaleSearch(config.scale)
-        self._size = ScaleFilter(config.scale.drift)
+        self._size = ScaleFilter(config.scale.drift, config.scale.first_drift)
         self._rig_check = RigCheck(np.radians(config.rig_check_deg))
         self.rig_fault: str | None = None
         """What is wrong with the calibration of the rig, as far as can be seen."""
@@ -400,7 +400,8 @@ class BandMap:
         self._search.note(solution.log_scale)
         if self._search.contradicts():
             self.is_metric = False
-            self._size = ScaleFilter(self._config.scale.drift)
+            scale = self._config.scale
+            self._size = ScaleFilter(scale.drift, scale.first_drift)
             self.window.forget_prior()
             self._search = ScaleSearch(self._config.scale)
 

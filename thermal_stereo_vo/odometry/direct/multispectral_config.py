@@ -105,6 +105,12 @@ class ScaleConfig:
         minimum=1e-6,
         maximum=0.5,
     )
+    first_drift: float = setting(
+        0.05,
+        "As drift, more of it in a young map; fades over a dozen keyframes.",
+        minimum=0.0,
+        maximum=0.5,
+    )
     reopen: float = setting(
         0.2,
         "Relative error of the size, agreed by as many windows, that makes it unknown again.",

@@ -10,6 +10,8 @@ _TRUST = 16.0
 """Errors of windows have so many times the variance that their residuals claim."""
 _OVERLAP = 3.5
 """Windows that share keyframes say nearly the same: so many of them count as one."""
+_SETTLING = 12.0
+"""Windows over which a young map comes to rest."""
 _OUTLIER = 3.0
 _MEMORY = 16
 _MOST_STRANGENESS = 6.0
@@ -21,11 +23,14 @@ class ScaleFilter:
 
     A Kalman filter (Kalman, 1960) in which a window that is too far off weighs less (Huber).  Once
     the map has taken the size over (``settle``) what is known of it enters the next adjustment as
-    ``hold``.
+    ``hold``.  The size walks by ``drift`` (relative, 1 sigma) from window to window, at first by
+    ``first_drift`` more, while depths of the map still settle.
     """
 
-    def __init__(self, drift: float) -> None:
+    def __init__(self, drift: float, first_drift: float) -> None:
         self._drift = drift
+        self._first_drift = first_drift
+        self._age = 0
         self._variance = np.inf
         self.log_scale = 0.0
         self.count = 0
@@ -60,7 +65,9 @@ class ScaleFilter:
 
         Settled, the adjustment itself has moved the map, and the window says 0.
         """
-        self._variance += self._drift**2
+        young = self._first_drift * float(np.exp(-self._age / _SETTLING))
+        self._variance += self._drift**2 + young**2
+        self._age += 1
         measured = _TRUST * _OVERLAP * window_sigma**2
         if not np.isfinite(measured):
             return
