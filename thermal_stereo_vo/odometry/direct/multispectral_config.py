@@ -93,7 +93,7 @@ class ScaleConfig:
         6, "Adjustments that must have told the scale before it is believed.", minimum=3, maximum=50
     )
     sigma: float = setting(
-        0.02,
+        0.025,
         "Relative standard deviation of the scale with which it is believed.",
         minimum=0.001,
         maximum=0.5,
