@@ -30,8 +30,8 @@ class BandCell:
     ``worst_step_m`` are those of ``ScaleReport``, for a method in metres with a time of zero.
     ``average_percent`` and ``final_percent`` (KITTI average, error at the end; first poses made
     equal) are those of the metric poses, or of all, fitted with scale, where the scale was never
-    known.  Positions (K, 3) m, fitted with scale, in the world of
-    the first true pose, their errors (K,) m and times (K,) s are thinned out for pictures.
+    known.  Positions (K, 3) m, fitted with scale, in the world of the first true pose, their errors
+    (K,) m and times (K,) s are thinned out for pictures.
     """
 
     flight: str

@@ -214,7 +214,7 @@ def test_where_the_patch_itself_moves_too(seen, rng):
     J = columns(seen)
     J[:, [8, 9, 10]] -= GAIN * (np.outer(home[1], G_home[0]) + np.outer(home[2], G_home[1]))
     agreed = seen["view"].copy()
-    share_slopes(home, GAIN, back, seen["view"])
+    share_slopes(home[None, 1:], 0, GAIN, back, seen["view"])
     np.testing.assert_allclose(seen["view"], agreed, atol=1e-12)
     relative_to_home(warp, np.stack([np.full((2, 3), np.nan), G_home]), 1, seen["G"])
     expect(gathered(seen, r, weights), J, r, weights)
@@ -225,7 +225,7 @@ def test_what_moves_both_views_alike_is_not_seen_whatever_the_noise(seen, rng):
     home, G_home, _, _ = at_home(rng, seen)
     warp, back = np.array([[1.1, 0.2], [-0.1, 0.9]]), np.linalg.inv([[1.1, 0.2], [-0.1, 0.9]])
     noisy, own = seen["view"].copy(), seen["view"].copy()
-    share_slopes(home, GAIN, back, noisy)
+    share_slopes(home[None, 1:], 0, GAIN, back, noisy)
     np.testing.assert_allclose(noisy[1:], 0.5 * (own[1:] + GAIN * back.T @ home[1:]), atol=1e-12)
     seen["G"][:, LOG_SCALE:] = warp @ G_home
     relative_to_home(warp, G_home[None], 0, seen["G"])

@@ -241,18 +241,18 @@ def _plane_slopes(T, at, x, y, rho):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def share_slopes(home, gain, back, view):  # type: ignore[no-untyped-def]
+def share_slopes(home, at, gain, back, view):  # type: ignore[no-untyped-def]
     """Give ``view`` (3, 8) the mean slopes of both views of a patch, in the target's plane.
 
-    ``home`` (3, 8) is the view at the host's time, ``gain`` times as bright there; ``back`` as of
-    ``warp_of_patch``.  The slopes are equal where the views agree.  Where they differ by noise, a
-    motion that moves both alike must not count as seen: with slopes of their own its two parts
-    (Dai et al. 2019, below eq. 6) do not cancel, and the scale looks some four times as well known
-    as it is.
+    ``home`` (N, 2, 8), that ``at``, are the slopes at the host's time, ``gain`` times as bright
+    there; ``back`` as of ``warp_of_patch``.  The slopes are equal where the views agree.  Where
+    they differ by noise, a motion that moves both alike must not count as seen: with slopes of
+    their own its two parts (Dai et al. 2019, below eq. 6) do not cancel, and the scale looks some
+    four times as well known as it is.
     """
     half = 0.5 * gain
     for k in range(PIXELS):
-        x, y = home[1, k], home[2, k]
+        x, y = home[at, 0, k], home[at, 1, k]
         view[1, k] = 0.5 * view[1, k] + half * (back[0, 0] * x + back[1, 0] * y)
         view[2, k] = 0.5 * view[2, k] + half * (back[0, 1] * x + back[1, 1] * y)
 

@@ -40,7 +40,7 @@ from thermal_stereo_vo.odometry.direct.patch_sums import (
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 
 POSE = 6
-_PAIR, _TAIL, _REFERENCE = 10, 2, 4
+_PAIR, _TAIL = 10, 2
 """Motion of the target, its brightness, and scale and lag, which all pairs share."""
 
 
@@ -68,7 +68,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
     view, r, weights = np.empty((3, PIXELS)), np.empty(PIXELS), np.empty(PIXELS)
     sums, G, w, tail = np.empty(SUMS), np.zeros((2, SLOPES)), np.empty(_PAIR), np.empty(_TAIL)
     # What all targets are compared with, of each point of a host and of the one at work.
-    group = np.empty((count, _REFERENCE, PIXELS))
+    group, group_slopes = np.empty((count, 2, PIXELS)), np.empty((count, 2, PIXELS))
     group_trust, group_G = np.empty(count), np.empty((count, 2, 3))
     patch, trusts_here = np.empty(PIXELS), np.empty(PIXELS)
     home, G_home = np.empty((3, PIXELS)), np.empty((2, 3))
@@ -171,7 +171,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         u, v = home[1, k] / camera[0], home[2, k] / camera[1]
                         group[m, 0, k] = home[0, k]
                         group[m, 1, k] = c2 / (c2 + u * u + v * v)
-                        group[m, 2, k], group[m, 3, k] = home[1, k], home[2, k]
+                        group_slopes[m, 0, k], group_slopes[m, 1, k] = home[1, k], home[2, k]
                     else:
                         group[m, 0, k], group[m, 1, k] = patches[n, k], trusts[n, k]
                     group_trust[m] += group[m, 1, k]
@@ -185,14 +185,14 @@ def linearise_window(  # type: ignore[no-untyped-def]
                     if not seen[n, t, c] or not trust > 0.0:
                         continue
                     x, y = bearings[n, 0], bearings[n, 1]
-                    if not view_patch(
+                    shown = view_patch(
                         stack, slots[t], camera, T_there, pair, x, y, rhos[n], sx, sy, view
-                    ):
-                        cost += limit * trust
-                        continue
-                    if across and not warp_of_patch(
-                        T_there, pair, T_c_hc, c, x, y, rhos[n], warp, warp_back
-                    ):
+                    )
+                    if shown and across:
+                        shown = warp_of_patch(
+                            T_there, pair, T_c_hc, c, x, y, rhos[n], warp, warp_back
+                        )
+                    if not shown:
                         cost += limit * trust
                         continue
                     for k in range(PIXELS):
@@ -208,10 +208,7 @@ def linearise_window(  # type: ignore[no-untyped-def]
                         continue
                     cost += energy
                     if across:
-                        for k in range(PIXELS):
-                            home[1, k] = group[n - start, 2, k]
-                            home[2, k] = group[n - start, 3, k]
-                        share_slopes(home, gain, warp_back, view)
+                        share_slopes(group_slopes, n - start, gain, warp_back, view)
                     cost -= gather_patch(view, patch, gain, b_slope, loose, r, weights, sums)
                     if asked:
                         own[:] = pair_g[pair]
