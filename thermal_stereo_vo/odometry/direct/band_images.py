@@ -15,6 +15,7 @@ from thermal_stereo_vo.odometry.direct.gradient_pyramid import (
     GradientPyramid,
     build_gradient_pyramid,
 )
+from thermal_stereo_vo.odometry.direct.multispectral_config import BandPhotometricConfig
 from thermal_stereo_vo.odometry.direct.rig import Rig
 
 _LEAST_USABLE_SHARE = 0.05
@@ -54,7 +55,7 @@ class BandImages:
         roles: tuple[str, ...],
         rig: Rig,
         units: tuple[BrightnessUnit, ...],
-        smoothing_px: float,
+        smoothing_px: tuple[float, ...],
         lag_s: float,
     ) -> None:
         self.roles = roles
@@ -67,7 +68,7 @@ class BandImages:
 
     @classmethod
     def of(
-        cls, frame: RigFrame, roles: tuple[str, ...], smoothing_px: float, lag_s: float
+        cls, frame: RigFrame, roles: tuple[str, ...], config: BandPhotometricConfig, lag_s: float
     ) -> BandImages | None:
         """The cameras in ``roles`` by their views; None where one of them is flat."""
         views = [frame.views[role] for role in roles]
@@ -75,8 +76,12 @@ class BandImages:
         units = tuple(unit for unit in found if unit is not None)
         if len(units) < len(roles):
             return None
-        rig = Rig.of(views).of_bands([role == THERMAL for role in roles])
-        return cls(roles, rig, units, smoothing_px, lag_s)
+        is_thermal = [role == THERMAL for role in roles]
+        smoothing_px = tuple(
+            config.thermal_smoothing_px if thermal else config.smoothing_px
+            for thermal in is_thermal
+        )
+        return cls(roles, Rig.of(views).of_bands(is_thermal), units, smoothing_px, lag_s)
 
     def pyramid(
         self,
@@ -103,7 +108,7 @@ class BandImages:
             without_memory(image, self._lag_s, twist, rho, self.rig.cameras[camera], sharp)
             image = sharp
         room = build_gradient_pyramid(
-            image, self._smoothing_px, self._units[camera], self._room[camera]
+            image, self._smoothing_px[camera], self._units[camera], self._room[camera]
         )
         self._room[camera] = room
         return None if float(room[-1][..., 0].std()) < _FLAT else room

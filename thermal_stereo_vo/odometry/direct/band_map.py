@@ -92,8 +92,7 @@ class BandMap:
         self.scale_sigma: float | None = None
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
-        self._search = ScaleSearch(config.scale)
-        self._size = ScaleFilter(config.scale.drift, config.scale.first_drift)
+        self._forget_size()
         self._rig_check = RigCheck(np.radians(config.rig_check_deg))
         self.rig_fault: str | None = None
         """What is wrong with the calibration of the rig, as far as can be seen."""
@@ -400,10 +399,13 @@ class BandMap:
         self._search.note(solution.log_scale)
         if self._search.contradicts():
             self.is_metric = False
-            scale = self._config.scale
-            self._size = ScaleFilter(scale.drift, scale.first_drift)
             self.window.forget_prior()
-            self._search = ScaleSearch(self._config.scale)
+            self._forget_size()
+
+    def _forget_size(self) -> None:
+        scale = self._config.scale
+        self._search = ScaleSearch(scale)
+        self._size = ScaleFilter(scale.drift, scale.first_drift)
 
     def _set_unit(self, log_unit: float) -> None:
         """Let the lever arms be as long as if a unit of the map were exp(``log_unit``) metres."""

@@ -13,6 +13,14 @@ from thermal_stereo_vo.odometry.direct.point_selection import SelectionConfig
 class BandPhotometricConfig(PhotometricConfig):
     """How brightness is compared within each of two bands."""
 
+    thermal_smoothing_px: float = setting(
+        1.4,
+        "As smoothing_px for a thermal camera, whose noise and fixed pattern are most of what "
+        "neighbouring pixels differ by.",
+        unit="px",
+        minimum=0.0,
+        maximum=5.0,
+    )
     patch_offset: float = setting(
         1.0,
         "How far the brightness of a thermal patch may be off as a whole (1 sigma), relative to "

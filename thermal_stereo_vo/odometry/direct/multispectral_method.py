@@ -304,8 +304,8 @@ class MultispectralOdometry:
     def _begin(self, frame: RigFrame) -> None:
         """Begin a new map with this frame, at the pose of the state."""
         self._images = self._map = None
-        smoothing_px = self._config.photometric.smoothing_px
-        images = BandImages.of(frame, usable_roles(frame, _ROLES), smoothing_px, self._lag_s)
+        roles = usable_roles(frame, _ROLES)
+        images = BandImages.of(frame, roles, self._config.photometric, self._lag_s)
         if images is None:
             return
         band_map = BandMap(self._config, images, self._room, self._state.pose, self._rng)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVELS = 4
+_KERNEL_SIGMAS = 2.5
 
 Pyramid = tuple[NDArray[np.float32], ...]
 """``LEVELS`` images (H / 2^l, W / 2^l) float32.  Pixel x of level 0 is x / 2^l of level l."""
@@ -20,7 +21,8 @@ def build_pyramid(image: NDArray[np.generic], smoothing_px: float) -> Pyramid:
     """
     base = image.astype(np.float32)
     if smoothing_px > 0.0:
-        base = cv2.GaussianBlur(base, (5, 5), smoothing_px)
+        side = 2 * int(np.ceil(_KERNEL_SIGMAS * smoothing_px)) + 1
+        base = cv2.GaussianBlur(base, (side, side), smoothing_px)
     levels = [base]
     while len(levels) < LEVELS:
         levels.append(cv2.pyrDown(levels[-1]))
