@@ -512,3 +512,4 @@ def test_late_cameras_tell_how_late_they_are(rng):
     )
     solution = adjust_photometrically(late, huber=9.0, gate=40.0, iterations=40, free_lag=True)
     assert solution.lag_s == pytest.approx(0.02, abs=0.002)
+    assert 0.0 < solution.lag_sigma_s < 0.002

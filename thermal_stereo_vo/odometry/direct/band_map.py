@@ -17,8 +17,12 @@ from thermal_stereo_vo.odometry.direct.depth_guess import depths_around, random_
 from thermal_stereo_vo.odometry.direct.frame_tracker import ABSENT, Pyramids, Tracked
 from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
 from thermal_stereo_vo.odometry.direct.keyframe_choice import most_dispensable
+from thermal_stereo_vo.odometry.direct.lag_check import LagCheck
 from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
-from thermal_stereo_vo.odometry.direct.multispectral_config import MultispectralConfig
+from thermal_stereo_vo.odometry.direct.multispectral_config import (
+    MultispectralConfig,
+    ScaleConfig,
+)
 from thermal_stereo_vo.odometry.direct.photometric_bundle import (
     HOLD,
     PhotometricProblem,
@@ -92,10 +96,9 @@ class BandMap:
         self.scale_sigma: float | None = None
         self.rho = 1.0
         """Median inverse depth, for what needs no better."""
-        self._forget_size()
+        self._search, self._size = _new_search(config.scale)
         self._rig_check = RigCheck(np.radians(config.rig_check_deg))
-        self.rig_fault: str | None = None
-        """What is wrong with the calibration of the rig, as far as can be seen."""
+        self._lag_check = LagCheck(1e-3 * config.rig_check_ms)
         self._most = np.zeros(cameras, np.int64)
         """Points of each camera that have fitted at once since the newest keyframe."""
         self._keyframes = 0
@@ -105,6 +108,25 @@ class BandMap:
     def rig(self) -> Rig:
         """The rig with its lever arms in the unit of the map."""
         return self.window.rig
+
+    @property
+    def rig_fault(self) -> str | None:
+        """What is wrong with calibration or stamps of the rig, as far as can be seen."""
+        off_rad, drift_s = self._rig_check.off_rad, self._lag_check.drift_s
+        faults = []
+        if off_rad is not None:
+            faults.append(
+                f"the {self._images.roles[1]} camera does not move as the calibration of the rig "
+                f"says, by about {np.degrees(off_rad):.1f} deg or more: calibrate the rig "
+                "again, or check the stamps of its cameras"
+            )
+        if drift_s is not None:
+            faults.append(
+                f"the stamps of the {self._images.roles[1]} camera moved by {1e3 * drift_s:.1f} ms "
+                f"against those of the {self._images.roles[0]} camera within seconds: let one "
+                "clock stamp both"
+            )
+        return "; ".join(faults) or None
 
     def count(self, camera: int) -> int:
         """Number of points of a camera."""
@@ -357,7 +379,10 @@ class BandMap:
             spare,
         )
         if update.turn is not None:
-            self._check_rig(update.turn)
+            self._rig_check.add(update.turn, has_told_scale=self.is_metric)
+        if update.scale is not None:
+            joint = update.scale.joint
+            self._lag_check.add(float(self.rig.lags_s[1]) + joint.lag_s, joint.lag_sigma_s)
         if self.is_metric:
             self._shift_lag(update.solution.lag_s)
             self._watch(update.solution)
@@ -381,17 +406,6 @@ class BandMap:
         self._set_unit(0.0)
         return factor
 
-    def _check_rig(self, turn: Turn) -> None:
-        self._rig_check.add(turn, has_told_scale=self.is_metric)
-        off_rad = self._rig_check.off_rad
-        self.rig_fault = None
-        if off_rad is not None:
-            self.rig_fault = (
-                f"the {self._images.roles[1]} camera does not move as the calibration of the rig "
-                f"says, by about {np.degrees(off_rad):.1f} deg or more: calibrate the rig "
-                "again, or check the stamps of its cameras"
-            )
-
     def _watch(self, solution: PhotometricSolution) -> None:
         """Admit that the size is wrong where many windows say so."""
         self._size.update(0.0, solution.log_scale_sigma)
@@ -400,12 +414,7 @@ class BandMap:
         if self._search.contradicts():
             self.is_metric = False
             self.window.forget_prior()
-            self._forget_size()
-
-    def _forget_size(self) -> None:
-        scale = self._config.scale
-        self._search = ScaleSearch(scale)
-        self._size = ScaleFilter(scale.drift, scale.first_drift)
+            self._search, self._size = _new_search(self._config.scale)
 
     def _set_unit(self, log_unit: float) -> None:
         """Let the lever arms be as long as if a unit of the map were exp(``log_unit``) metres."""
@@ -418,6 +427,10 @@ class BandMap:
     def _shift_lag(self, lag_s: float) -> None:
         rig = self.rig
         self.window.rig = replace(rig, lags_s=rig.lags_s + lag_s * rig.bolometers)
+
+
+def _new_search(config: ScaleConfig) -> tuple[ScaleSearch, ScaleFilter]:
+    return ScaleSearch(config), ScaleFilter(config.drift, config.first_drift)
 
 
 def _grey(image: NDArray[np.float32]) -> NDArray[np.uint8]:

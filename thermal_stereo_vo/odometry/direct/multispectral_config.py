@@ -149,6 +149,14 @@ class MultispectralConfig:
         minimum=0.1,
         maximum=180.0,
     )
+    rig_check_ms: float = setting(
+        2.5,
+        "Change of the thermal camera's lag, while the scale is looked for, that makes the status "
+        "DEGRADED and keeps the scale unknown: the cameras' stamps come from two clocks.",
+        unit="ms",
+        minimum=0.1,
+        maximum=1000.0,
+    )
     covariance_scale: float = setting(
         8.0,
         "Factor on covariances for what the residuals do not show.",

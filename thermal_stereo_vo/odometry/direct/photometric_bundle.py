@@ -104,7 +104,7 @@ class PhotometricSolution:
     ``rho_information`` (N,) and ``covariance`` (6 (K-1), 6 (K-1)) of the left perturbations of all
     keyframes but the oldest are for the noise ``sigma`` that was found.  ``log_scale`` is the
     logarithm of how many of the map's units are one of the lever arms' after, where it was free;
-    ``lag_s`` how much later the bolometers were found to be.
+    ``lag_s`` how much later the bolometers were found to be, with its ``lag_sigma_s``.
     """
 
     T_k_w: NDArray[np.float64]
@@ -118,6 +118,7 @@ class PhotometricSolution:
     log_scale: float
     log_scale_sigma: float
     lag_s: float
+    lag_sigma_s: float
 
 
 @dataclass
@@ -227,11 +228,12 @@ def adjust_photometrically(
         covariance = covariance if scattered is None else scattered
     at = -1 - int(free_lag)
     scale_sigma = float(np.sqrt(covariance[at, at])) if free_scale else 0.0
+    lag_sigma_s = float(np.sqrt(covariance[-1, -1])) if free_lag else 0.0
     if problem.bands and not free_scale:
         log_scale, scale_sigma = _pull_of_scale(now, T, free, sigma)
     return PhotometricSolution(
         T, brightness, rhos, now.h_rho, covariance[np.ix_(is_pose, is_pose)], now.energies, sigma,
-        done, log_scale, scale_sigma, lag_s,
+        done, log_scale, scale_sigma, lag_s, lag_sigma_s,
     )  # fmt: skip
 
 
