@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -251,3 +252,50 @@ def test_threads_change_nothing(flight):
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.T_world_rig, b.T_world_rig)
         assert a.stats == b.stats
+
+
+def contradicted(method):
+    """Windows agree that the size is wrong by 40 %."""
+    for _ in range(8):
+        method._map._search.note(np.log(1.4))
+    method._map._watch(SimpleNamespace(log_scale=np.log(1.4), log_scale_sigma=0.01))
+    return method
+
+
+def test_a_size_that_was_wrong_is_looked_for_again_and_said_to_be(flight, flown):
+    method = copied(flown[0])
+    assert method._map.doubt is None
+    results = fly(contradicted(method), flight[0][START:])
+    wrong = [result for result in results if not result.scale_converged]
+    assert len(wrong) > 3
+    for result in wrong:
+        assert result.status is TrackingStatus.DEGRADED
+        assert "looked for again: move sideways" in result.reason
+        assert np.diag(result.covariance)[:3].min() > 1e5
+
+
+def test_a_size_that_is_found_again_stretches_only_what_was_flown_without(flown):
+    method = copied(flown[0])
+    window = method._map.window
+    window.drop_keyframe(window.poses.order[0])
+    contradicted(method)
+
+    def places_m():
+        return np.array([inverse(window.poses.T_k_w[i])[:3, 3] for i in window.poses.order])
+
+    before_m = places_m()
+    assert np.linalg.norm(before_m[0]) > 0.01
+    window.rescale(1.4, method._map._known_to_m)
+    np.testing.assert_allclose(places_m()[0], before_m[0], atol=1e-9)
+    np.testing.assert_allclose(np.diff(places_m(), axis=0), 1.4 * np.diff(before_m, axis=0))
+
+
+def test_what_came_into_view_and_is_of_unknown_size_is_said_to_be(flight, flown):
+    method = copied(flown[0])
+    # No adjustment has looked at it yet.
+    method._update = None
+    method._map.scale_sigma = 0.3
+    result = method.process(flight[0][START])
+    assert result.status is TrackingStatus.DEGRADED
+    assert "is known to 30 % only" in result.reason
+    assert result.scale_converged is True

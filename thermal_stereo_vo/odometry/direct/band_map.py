@@ -19,6 +19,7 @@ from thermal_stereo_vo.odometry.direct.gradient_pyramid import GradientPyramid
 from thermal_stereo_vo.odometry.direct.keyframe_choice import most_dispensable
 from thermal_stereo_vo.odometry.direct.lag_check import LagCheck
 from thermal_stereo_vo.odometry.direct.late_cameras import LateCameras
+from thermal_stereo_vo.odometry.direct.map_size import SolvedWindow, variance_of_newest
 from thermal_stereo_vo.odometry.direct.multispectral_config import (
     MultispectralConfig,
     ScaleConfig,
@@ -102,6 +103,10 @@ class BandMap:
         self._most = np.zeros(cameras, np.int64)
         """Points of each camera that have fitted at once since the newest keyframe."""
         self._keyframes = 0
+        self._solved: SolvedWindow | None = None
+        self._known_to_m = start.T_world_rig[:3, 3]
+        """Where lengths were known last: what lies behind is in metres."""
+        self._was_metric = False
         self._set_unit(np.log(_START_DISTANCE_M))
 
     @property
@@ -127,6 +132,16 @@ class BandMap:
                 "clock stamp both"
             )
         return "; ".join(faults) or None
+
+    @property
+    def doubt(self) -> str | None:
+        """Why lengths are not to be trusted now, though they were in metres before."""
+        if self._was_metric and not self.is_metric:
+            return "the size of the map was wrong and is looked for again: move sideways and turn"
+        if self.is_metric and (self.scale_sigma or 0.0) > self._config.scale.reopen:
+            percent = 100.0 * (self.scale_sigma or 0.0)
+            return f"the size of what has just come into view is known to {percent:.0f} % only"
+        return None
 
     def count(self, camera: int) -> int:
         """Number of points of a camera."""
@@ -248,6 +263,13 @@ class BandMap:
             window.add_points(
                 slot, camera, pyramid, pixels, rhos, information, counts, is_prior=True
             )
+        if self.is_metric and self._solved is not None:
+            order = window.poses.order
+            self._size.carry(
+                self._solved.variance_of_rest(order[:-1])
+                + variance_of_newest(window.poses.T_k_w[order], covariance)
+            )
+            self.scale_sigma = self._size.sigma
         self._keyframes += 1
         self._most[:] = 0
         points = self._leading_points()
@@ -378,6 +400,8 @@ class BandMap:
             config.covariance_scale,
             spare,
         )
+        covariance = config.covariance_scale * update.solution.covariance
+        self._solved = SolvedWindow(tuple(window.poses.order), update.solution.T_k_w, covariance)
         if update.turn is not None:
             self._rig_check.add(update.turn, has_told_scale=self.is_metric)
         if update.scale is not None:
@@ -398,9 +422,9 @@ class BandMap:
         window.take_camera(update.scale.joint, update.points, 1)
         self._shift_lag(update.scale.joint.lag_s)
         factor = float(np.exp(self._size.log_scale))
-        window.rescale(factor, self._start.T_world_rig[:3, 3])
+        window.rescale(factor, self._known_to_m)
         self.rho /= factor
-        self.is_metric = True
+        self.is_metric = self._was_metric = True
         self._size.settle()
         self._search = ScaleSearch(config.scale)
         self._set_unit(0.0)
@@ -413,6 +437,8 @@ class BandMap:
         self._search.note(solution.log_scale)
         if self._search.contradicts():
             self.is_metric = False
+            poses = self.window.poses
+            self._known_to_m = inverse(poses.T_k_w[poses.order[0]])[:3, 3]
             self.window.forget_prior()
             self._search, self._size = _new_search(self._config.scale)
 

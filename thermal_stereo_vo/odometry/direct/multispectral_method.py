@@ -118,13 +118,9 @@ class MultispectralOdometry:
         else:
             result = self._track(self._map, self._images, frame)
         result = with_stages(result, self._timer.take())
-        if (
-            self._map is not None
-            and self._map.rig_fault
-            and result.status is TrackingStatus.TRACKING
-        ):
-            status, reason = TrackingStatus.DEGRADED, self._map.rig_fault
-            result = replace(result, status=status, reason=reason)
+        fault = None if self._map is None else self._map.rig_fault or self._map.doubt
+        if fault is not None and result.status is TrackingStatus.TRACKING:
+            result = replace(result, status=TrackingStatus.DEGRADED, reason=fault)
         metric = self._map is not None and self._map.is_metric
         return replace(result, scale_converged=True) if metric else without_unit(result)
 

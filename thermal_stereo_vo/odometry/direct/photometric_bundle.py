@@ -9,6 +9,7 @@ eliminating it (Schur complement) is a division.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from thermal_stereo_vo.core.kernels import solve_positive
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
 from thermal_stereo_vo.odometry.clustered_covariance import clustered_covariance
+from thermal_stereo_vo.odometry.direct.map_size import size_of, slopes_of_size
 from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 from thermal_stereo_vo.odometry.direct.rig import with_arms
+from thermal_stereo_vo.odometry.direct.shared_guesses import SharedGuesses, SharedStep
 from thermal_stereo_vo.odometry.direct.window_equations import POSE, linearise_window
 from thermal_stereo_vo.odometry.direct.window_prior import WindowPrior
 from thermal_stereo_vo.odometry.information import inverse_information
@@ -89,6 +92,14 @@ class PhotometricProblem:
             prior=None,
         )
 
+    @cached_property
+    def guesses(self) -> SharedGuesses | None:
+        """The first depths, which err together where one camera of one keyframe guessed them."""
+        cameras = self.seen.shape[2]
+        group = self.hosts * cameras + self.host_cameras
+        groups = self.seen.shape[1] * cameras
+        return SharedGuesses.of(group, groups, self.rho_priors, self.prior_information)
+
     @property
     def lag_s(self) -> float:
         """How late the bolometers are; 0 where there is none."""
@@ -133,6 +144,7 @@ class _Equations:
     energies: NDArray[np.float64]
     cost: float = 0.0
     steepness: float = 1.0
+    shared: SharedStep | None = None
 
     @classmethod
     def of(cls, problem: PhotometricProblem) -> _Equations:
@@ -237,25 +249,6 @@ def adjust_photometrically(
     )  # fmt: skip
 
 
-def size_of(T_k_w: NDArray[np.float64]) -> float:
-    """Root of the sum of squared distances of keyframes to the oldest."""
-    return float(np.sqrt(np.sum(_ways(T_k_w) ** 2)))
-
-
-def _ways(T_k_w: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, 3) where the oldest keyframe is, in axes of each."""
-    return np.asarray((T_k_w @ inverse(T_k_w[0]))[:, :3, 3])
-
-
-def _slope_of_size(T_k_w: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:
-    """(N,) derivative of the logarithm of the size."""
-    ways = _ways(T_k_w)
-    slope = np.zeros(unknowns)
-    per_frame = slope[:-2].reshape(len(T_k_w), -1)
-    per_frame[:, :3] = ways / (float(np.sum(ways**2)) + 1e-12)
-    return slope
-
-
 def _hold_size(equations: _Equations, T_k_w: NDArray[np.float64], size: float, hold: float) -> None:
     """Hold the size of the map where the lever arms are free: one of both must give the unit."""
     off = np.log((size_of(T_k_w) + 1e-6) / (size + 1e-6))
@@ -263,6 +256,13 @@ def _hold_size(equations: _Equations, T_k_w: NDArray[np.float64], size: float, h
     equations.A += hold * np.outer(slope, slope)
     equations.g -= hold * off * slope
     equations.cost += hold * off * off
+
+
+def _slope_of_size(T_k_w: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:
+    """(U,) derivative of the logarithm of the size by all unknowns."""
+    slope = np.zeros(unknowns)
+    slope[:-2].reshape(len(T_k_w), -1)[:, :3] = slopes_of_size(T_k_w)
+    return slope
 
 
 def _pull_of_scale(
@@ -299,7 +299,10 @@ def _moved(
     brightness_new = brightness + per_frame[:, POSE:].reshape(brightness.shape)
     shown = equations.h_rho > 0.0
     delta = np.zeros(len(rhos))
-    delta[shown] = (equations.b_rho - equations.W @ step)[shown] / equations.h_rho[shown]
+    right = equations.b_rho - equations.W @ step
+    if equations.shared is not None:
+        right += equations.shared.pulls_on_depths(step)
+    delta[shown] = right[shown] / equations.h_rho[shown]
     return T_new, brightness_new, np.maximum(rhos + delta, RHO_MIN)
 
 
@@ -323,14 +326,23 @@ def _linearise(
         prior = problem.prior
         slopes = (T, brightness) if prior is None else prior.slopes_at(T, brightness)
     T_slopes, brightness_slopes = slopes
+    guesses, rho_priors = problem.guesses, problem.rho_priors
+    if guesses is not None:
+        errors = guesses.errors(rhos)
+        rho_priors = guesses.means(errors)
+    if pulls is None:
+        pulls = np.zeros((0, len(out.g)))
     out.cost, out.steepness = linearise_window(
         problem.images, problem.slots, T, problem.twists, late, T_then_now, brightness, T_slopes,
         brightness_slopes, problem.cameras, T_rig_camera, problem.hosts, problem.host_cameras,
-        problem.bearings, rhos, problem.rho_priors, problem.prior_information, problem.patches,
+        problem.bearings, rhos, rho_priors, problem.prior_information, problem.patches,
         problem.trusts, problem.seen, problem.bands, problem.bolometers, problem.trust_gradient,
         problem.looseness, huber, gate, out.A, out.g, out.W, out.h_rho, out.b_rho, out.energies,
-        np.zeros((0, len(out.g))) if pulls is None else pulls,
+        pulls,
     )  # fmt: skip
+    if guesses is not None:
+        out.shared = guesses.eliminate(out.W, out.h_rho, out.b_rho, out.A, out.g, pulls)
+        out.cost += guesses.cost(errors)
     if problem.prior is not None:
         prior = problem.prior
         off = prior.offsets(T, brightness, problem.lag_s + lag_s)

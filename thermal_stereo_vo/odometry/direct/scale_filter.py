@@ -60,6 +60,10 @@ class ScaleFilter:
         """The map has this size from now on: what windows say is by how much it is wrong."""
         self.log_scale = 0.0
 
+    def carry(self, variance: float) -> None:
+        """The map has gone on, and what is known of it is less sure by ``variance``, as claimed."""
+        self._variance += _TRUST * _OVERLAP * variance
+
     def update(self, log_scale: float, window_sigma: float) -> None:
         """A window says ``log_scale`` and claims ``window_sigma``, infinite where it knows nothing.
 
