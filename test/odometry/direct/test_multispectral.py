@@ -299,3 +299,13 @@ def test_what_came_into_view_and_is_of_unknown_size_is_said_to_be(flight, flown)
     assert result.status is TrackingStatus.DEGRADED
     assert "is known to 30 % only" in result.reason
     assert result.scale_converged is True
+
+
+def test_a_window_that_says_little_of_its_poses_hands_little_on(flight, flown):
+    sure, unsure = copied(flown[0]), copied(flown[0])
+    solved = unsure._map._solved
+    unsure._map._solved = replace(solved, covariance=1e4 * solved.covariance)
+    for method in (sure, unsure):
+        next(r for r in map(method.process, flight[0][START:]) if r.stats.keyframe)
+    assert sure._map.scale_sigma < 0.05
+    assert unsure._map.scale_sigma > 2.0 * sure._map.scale_sigma

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from thermal_stereo_vo.odometry.direct.photometric_bundle import _Equations, _moved
 from thermal_stereo_vo.odometry.direct.shared_guesses import SharedGuesses
 
 GUESSES = np.linspace(0.2, 0.9, 400)
@@ -78,3 +79,47 @@ def test_a_wall_that_is_nearer_than_guessed_moves_as_one(rng):
     alone = (INFORMATION * GUESSES + told * true) / (INFORMATION + told)
     assert np.median(alone / GUESSES) == pytest.approx(1.03, abs=0.01)
     assert np.median(rhos / GUESSES) == pytest.approx(1.26, abs=0.01)
+
+
+def test_eliminating_them_is_solving_for_all_at_once(rng):
+    """Two keyframes of one camera (U = 18), 20 points, half of them guessed, in three groups."""
+    U, N, J = 18, 20, 3
+    group, rhos = rng.integers(0, J, N), rng.uniform(0.2, 0.8, N)
+    information = rng.uniform(1.0, 5.0, N) * (np.arange(N) % 2)
+    guesses = SharedGuesses.of(group, J, rhos * rng.uniform(0.7, 1.3, N), information)
+    errors = guesses.errors(rhos)
+    root = rng.normal(size=(200, U + N))
+    data = root.T @ root
+    data[U:, U:] = np.diag(np.diag(data)[U:])
+    data[np.diag_indices(U + N)] += 50.0
+    right = rng.normal(size=U + N)
+    # All unknowns together: everything else, depths, errors.
+    H, b = np.zeros((U + N + J,) * 2), np.zeros(U + N + J)
+    H[:-J, :-J], b[:-J] = data, right
+    for n in range(N):
+        slope = np.zeros(U + N + J)
+        slope[U + n], slope[U + N + group[n]] = 1.0, -guesses.rhos[n]
+        off = guesses.means(errors)[n] - rhos[n]
+        H += information[n] * np.outer(slope, slope)
+        b += information[n] * slope * off
+    H[-J:, -J:] += np.diag(guesses.worths)
+    b[-J:] -= guesses.worths * errors
+    step = np.linalg.solve(H, b)
+
+    out = _Equations(
+        A=data[:U, :U].copy(),
+        g=right[:U].copy(),
+        W=data[U:, :U],
+        h_rho=np.diag(data)[U:] + information,
+        b_rho=right[U:] + information * (guesses.means(errors) - rhos),
+        energies=np.zeros((N, 2, 1)),
+    )
+    out.A -= out.W.T @ (out.W / out.h_rho[:, None])
+    pulls = -out.W * (out.b_rho / out.h_rho)[:, None]
+    out.g += pulls.sum(axis=0)
+    out.shared = guesses.eliminate(out.W, out.h_rho, out.b_rho, out.A, out.g, pulls)
+    np.testing.assert_allclose(np.linalg.solve(out.A, out.g), step[:U], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(right[:U] + pulls.sum(axis=0), out.g, rtol=1e-9, atol=1e-12)
+    T, brightness = np.tile(np.eye(4), (2, 1, 1)), np.zeros((2, 1, 2))
+    _, _, moved = _moved(T, brightness, rhos, out, step[:U])
+    np.testing.assert_allclose(moved - rhos, step[U:-J], rtol=1e-6, atol=1e-12)
