@@ -69,6 +69,13 @@ def test_drift_without_a_scale_is_that_of_the_shape(truth):
     assert 0.5 * jump_percent < bent.final_percent < 1.5 * jump_percent
 
 
+def test_covariances_are_held_against_the_errors_of_metric_poses(truth):
+    found = cell(truth, scale=1.0, converged=100, jump_m=0.3)
+    # 99 of 200 poses are off by 0.3 where 1 is claimed.
+    assert found.nees_mean == pytest.approx(0.3**2 * 99 / 200, rel=1e-6)
+    assert cell(truth, converged=FRAMES + 1).nees_mean is None
+
+
 def test_all_runs_are_drawn_in_one_world(truth):
     """Whenever they found their scale: a run without error lies on the truth."""
     for converged in (0, 100, FRAMES + 1):

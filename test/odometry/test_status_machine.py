@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.results import TrackingStatus, TrackStats
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
-from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig, StatusMachine
 
 S = 1_000_000_000
@@ -262,10 +262,15 @@ def test_stage_times_are_put_into_the_result():
     assert result.stats.features == 7
 
 
-def moving_on(lag_ms: float, by_bolometer: bool | None, sigma_ms: float = 2.0):
+NO_LAG = Lag()
+
+
+def moving_on(
+    lag_ms: float, by_bolometer: bool | None, sigma_ms: float = 2.0, exposure: Lag = NO_LAG
+):
     """A result one step after the start, with images that lag or not."""
     config = StatusConfig(bolometer_lag_ms=lag_ms, bolometer_lag_sigma_ms=sigma_ms)
-    s = OdometryState(config, T_START)
+    s = OdometryState(config, T_START, exposure=exposure)
     s.advance(0, by_bolometer=by_bolometer)
     s.started(TrackStats())
     s.advance(S // 10, by_bolometer=by_bolometer)
@@ -289,6 +294,22 @@ def test_an_unsure_lag_makes_the_pose_unsure_along_the_twist():
     drift = 2e-3 * np.concatenate([R @ sure.twist[:3], R @ sure.twist[3:]])
     np.testing.assert_allclose(added, np.outer(drift, drift), atol=1e-15)
     assert np.sqrt(np.trace(added[:3, :3])) == pytest.approx(2e-3 * 4.03, rel=0.01)
+
+
+def test_a_camera_that_exposed_before_its_stamp_is_moved_on_as_well():
+    _, bolometer = moving_on(10.0, by_bolometer=True)
+    _, exposed = moving_on(30.0, by_bolometer=False, exposure=Lag(0.010, 0.002))
+    np.testing.assert_allclose(exposed.T_world_rig, bolometer.T_world_rig, atol=1e-12)
+    np.testing.assert_allclose(exposed.covariance, bolometer.covariance, atol=1e-15)
+
+
+def test_a_stamp_that_is_not_trusted_moves_no_pose_but_is_said_to_be():
+    _, trusted = moving_on(10.0, by_bolometer=False)
+    _, doubted = moving_on(10.0, by_bolometer=False, exposure=Lag(0.0, 0.005))
+    np.testing.assert_array_equal(doubted.T_world_rig, trusted.T_world_rig)
+    added = doubted.covariance - trusted.covariance
+    assert np.sqrt(np.trace(added[:3, :3])) == pytest.approx(5e-3 * 4.03, rel=0.01)
+    assert np.sqrt(np.trace(added[3:, 3:])) == pytest.approx(5e-3 * 0.2, rel=0.01)
 
 
 @pytest.mark.parametrize("by_bolometer", [False, None])

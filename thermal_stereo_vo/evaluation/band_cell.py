@@ -17,7 +17,7 @@ from thermal_stereo_vo.core.trajectory import Trajectory, estimated_trajectory
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.evaluation.alignment import Alignment, aligned
 from thermal_stereo_vo.evaluation.association import compare
-from thermal_stereo_vo.evaluation.flight_cell import thinned
+from thermal_stereo_vo.evaluation.flight_cell import pose_nees, thinned
 from thermal_stereo_vo.evaluation.metrics import measure, position_errors
 from thermal_stereo_vo.evaluation.scale import ScaleReport, scale_report
 
@@ -53,6 +53,8 @@ class BandCell:
     positions_m: list[list[float | None]]
     true_positions_m: list[list[float]]
     errors_m: list[float | None]
+    nees_mean: float | None = None
+    """Over all metric poses, 6 in expectation; None where there were none."""
 
     @property
     def name(self) -> str:
@@ -96,6 +98,8 @@ def make_band_cell(
     fitted = aligned(comparison, Alignment.SIM3)
     drift = metrics if metric else measure(fitted)
     T_first_world = inverse(truth.T_world_rig[0])
+    values = pose_nees(results, truth)
+    values = values[np.isfinite(values)]
     return BandCell(
         flight,
         contender,
@@ -116,6 +120,7 @@ def make_band_cell(
         positions_m=_holes(thinned((T_first_world @ fitted.T_world_est)[:, :3, 3])),
         true_positions_m=thinned((T_first_world @ fitted.T_world_true)[:, :3, 3]),
         errors_m=_holes(thinned(position_errors(fitted))),
+        nees_mean=float(np.mean(values)) if len(values) else None,
     )
 
 

@@ -29,7 +29,8 @@ class BandTable:
         """Names of the columns; ATE and step in metres."""
         return [
             "flight", "cameras", "seeds", "path", "cover", "Sim(3) ATE", "worst", "SE(3) ATE",
-            "worst", "scale error", "worst", "converged", "drift", "worst step", "lost", "ms",
+            "worst", "scale error", "worst", "converged", "drift", "worst step", "NEES",
+            "lost", "ms",
         ]  # fmt: skip
 
     def rows(self) -> list[list[str]]:
@@ -58,6 +59,7 @@ class BandTable:
             when,
             _text(_known(cells, "average_percent"), np.mean, "{:.2f} %"),
             _text(_known(cells, "worst_step_m"), np.max),
+            _text(_known(cells, "nees_mean"), np.mean, "{:.1f}"),
             str(lost),
             f"{np.median([cell.frame_ms for cell in cells]):.0f}",
         ]

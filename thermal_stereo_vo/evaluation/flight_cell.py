@@ -118,10 +118,11 @@ def pose_nees(results: Sequence[OdometryResult], truth: Trajectory) -> NDArray[n
     """(N,) normalised error squared of each pose with a covariance whose true pose is known.
 
     The worlds are made equal at the last frame of the start, whose pose is certain by definition.
+    Poses whose lengths are no metres are left out.
     """
     at = {int(stamp): T for stamp, T in zip(truth.stamps_ns, truth.T_world_rig, strict=True)}
     known = [
-        (at[result.stamp_ns], result.T_world_rig, result.covariance)
+        (at[result.stamp_ns], result.T_world_rig, result.covariance, result.is_metric)
         for result in results[start_index(results) :]
         if result.T_world_rig is not None
         and result.covariance is not None
@@ -129,9 +130,9 @@ def pose_nees(results: Sequence[OdometryResult], truth: Trajectory) -> NDArray[n
     ]
     if not known:
         return np.zeros(0)
-    true, estimated, covariance = (np.array(column) for column in zip(*known, strict=True))
+    true, estimated, covariance, metric = (np.array(col) for col in zip(*known, strict=True))
     true = estimated[0] @ inverse(true[0]) @ true
-    return nees(true, estimated, covariance)
+    return nees(true[metric], estimated[metric], covariance[metric])
 
 
 def save_cell(folder: Path, cell: Any) -> Path:

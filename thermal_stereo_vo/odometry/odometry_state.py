@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,23 @@ from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 from thermal_stereo_vo.odometry.status_machine import StatusConfig, StatusMachine
 
 
+@dataclass(frozen=True)
+class Lag:
+    """How long before the stamp the rig saw what a frame shows, and how well that is known."""
+
+    lag_s: float = 0.0
+    sigma_s: float = 0.0
+
+
 class OdometryState:
     """Where the rig is thought to be.
 
     ``pose`` is where the rig was when it saw what the last frame shows, measured or predicted;
     while LOST it stays where the rig was lost, so that the pose goes on from there after a
-    recovery.  A bolometer shows what it saw its time constant ago: results are moved on by that
-    lag, to the stamp of the frame.  A ``gyro`` guides the rotation of predictions wherever it has
-    samples, and their translation where it comes with an accelerometer.
+    recovery.  A bolometer shows what it saw its time constant ago, other cameras what they saw
+    ``exposure`` ago: results are moved on by that lag, to the stamp of the frame.  A ``gyro``
+    guides the rotation of predictions wherever it has samples, and their translation where it
+    comes with an accelerometer.
     """
 
     def __init__(
@@ -36,8 +45,10 @@ class OdometryState:
         config: StatusConfig,
         T_world_rig: NDArray[np.float64],
         gyro: GyroIntegrator | None = None,
+        exposure: Lag = Lag(),
     ) -> None:
         self._gyro = gyro
+        self._exposure = exposure
         self._config = config
         self._status = StatusMachine(config)
         self._begin(T_world_rig)
@@ -191,13 +202,16 @@ class OdometryState:
         return self._stamp_ns
 
     @property
-    def _lag_s(self) -> float:
-        return 1e-3 * self._config.bolometer_lag_ms if self._by_bolometer else 0.0
+    def _lag(self) -> Lag:
+        if not self._by_bolometer:
+            return self._exposure
+        lag_ms, sigma_ms = self._config.bolometer_lag_ms, self._config.bolometer_lag_sigma_ms
+        return Lag(1e-3 * lag_ms, 1e-3 * sigma_ms if lag_ms > 0.0 else 0.0)
 
     @property
     def _seen_ns(self) -> int:
         """When the rig saw what the frame shows."""
-        return self._now - round(self._lag_s * 1e9)
+        return self._now - round(self._lag.lag_s * 1e9)
 
     def _felt(self, elapsed_s: float) -> NDArray[np.float64] | None:
         """(3, 3) rotation of the last ``elapsed_s`` (axes after to before) by the gyro, or None."""
@@ -222,7 +236,7 @@ class OdometryState:
                 twist_covariance[:3] = twist_covariance[:, :3] = 0.0
                 twist_covariance[:3, :3] = velocity
         twist = np.zeros(6) if self.prior.twist is None else self.prior.twist.copy()
-        T_world_rig = self.pose.T_world_rig @ exp_se3(twist * self._lag_s)
+        T_world_rig = self.pose.T_world_rig @ exp_se3(twist * self._lag.lag_s)
         return OdometryResult(
             self._now,
             status,
@@ -246,11 +260,12 @@ class OdometryState:
         covariance = self.pose.covariance.copy()
         way_m = self._config.scale_sigma * (T_world_rig[:3, 3] - self._origin_m)
         covariance[:3, :3] += np.outer(way_m, way_m)
-        if self._lag_s > 0.0:
+        lag = self._lag
+        if lag.lag_s > 0.0 or lag.sigma_s > 0.0:
             to_world = np.kron(np.eye(2), T_world_rig[:3, :3])
-            drift = 1e-3 * self._config.bolometer_lag_sigma_ms * (to_world @ twist)
+            drift = lag.sigma_s * (to_world @ twist)
             covariance += np.outer(drift, drift)
-            covariance += self._lag_s**2 * to_world @ twist_covariance @ to_world.T
+            covariance += lag.lag_s**2 * to_world @ twist_covariance @ to_world.T
         return covariance
 
 

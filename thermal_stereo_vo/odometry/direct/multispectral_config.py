@@ -157,6 +157,21 @@ class MultispectralConfig:
         minimum=0.1,
         maximum=1000.0,
     )
+    exposure_lag_ms: float = setting(
+        0.0,
+        "How long before its stamp the visible camera saw what it shows: half the exposure where "
+        "stamps mark its end.  Poses are moved on by this with the twist.",
+        unit="ms",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    exposure_lag_sigma_ms: float = setting(
+        5.0,
+        "How well that lag is known; adds to the covariance along the twist.",
+        unit="ms",
+        minimum=0.0,
+        maximum=100.0,
+    )
     covariance_scale: float = setting(
         8.0,
         "Factor on covariances for what the residuals do not show.",

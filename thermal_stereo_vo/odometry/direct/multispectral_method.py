@@ -31,7 +31,7 @@ from thermal_stereo_vo.odometry.direct.multispectral_config import Multispectral
 from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
-from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
 from thermal_stereo_vo.odometry.workers import make_worker, timed
 
@@ -68,7 +68,8 @@ class MultispectralOdometry:
         self._worker = make_worker(threads, "odometry")
         self._tracker = FrameTracker(config.photometric)
         self._timer = StageTimer()
-        self._state = OdometryState(status, np.eye(4), gyro)
+        exposure = Lag(1e-3 * config.exposure_lag_ms, 1e-3 * config.exposure_lag_sigma_ms)
+        self._state = OdometryState(status, np.eye(4), gyro, exposure)
         self._update: Future[tuple[MapUpdate | None, float]] | None = None
         self._forget()
 
