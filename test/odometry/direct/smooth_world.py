@@ -65,4 +65,5 @@ def window_problem(rng, points=12, keyframes=3) -> PhotometricProblem:
         bolometers=np.zeros(2, np.bool_),
         trust_gradient=1e9,
         looseness=np.zeros(2),
+        guesses_err_together=True,
     )

@@ -274,6 +274,14 @@ def test_a_size_that_was_wrong_is_looked_for_again_and_said_to_be(flight, flown)
         assert np.diag(result.covariance)[:3].min() > 1e5
 
 
+def test_first_depths_count_as_a_few_only_where_the_size_is_known(flight, flown):
+    young, method = odometry(), copied(flown[0])
+    fly(young, flight[0][:12])
+    assert young._map.window.problem()[0].guesses is None
+    assert method._map.window.problem()[0].guesses is not None
+    assert contradicted(method)._map.window.problem()[0].guesses is None
+
+
 def test_a_size_that_is_found_again_stretches_only_what_was_flown_without(flown):
     method = copied(flown[0])
     window = method._map.window

@@ -103,6 +103,8 @@ def information_of_guesses(problem):
     """(N, N) of depths alone: those of one host's camera err together, by 0.2 where each by 0.5."""
     known, guessed = problem.prior_information, problem.rho_priors
     out = np.diag(known)
+    if not problem.guesses_err_together:
+        return out
     for host, camera in {*zip(problem.hosts, problem.host_cameras, strict=True)}:
         mine = np.flatnonzero((problem.hosts == host) & (problem.host_cameras == camera))
         pull = known[mine] * guessed[mine]
@@ -113,11 +115,12 @@ def information_of_guesses(problem):
 
 
 @pytest.mark.parametrize("looseness", [0.0, 1.7])
-@pytest.mark.parametrize("bands", [False, True])
-def test_reduced_equations_are_those_of_the_dense_problem(rng, bands, looseness):
+@pytest.mark.parametrize(("bands", "together"), [(False, True), (True, True), (True, False)])
+def test_reduced_equations_are_those_of_the_dense_problem(rng, bands, together, looseness):
     problem = replace(
         window_problem(rng),
         bands=bands,
+        guesses_err_together=together,
         bolometers=np.array([False, True]),
         looseness=np.array([0.0, looseness]),
     )

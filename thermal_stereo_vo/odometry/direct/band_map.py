@@ -91,7 +91,7 @@ class BandMap:
             config.photometric.trust_gradient,
             config.photometric.patch_offset,
         )
-        self.is_metric = False
+        self.window.is_metric = False
         self.has_been_followed = False
         """Whether any frame but the first was found in it."""
         self.scale_sigma: float | None = None
@@ -108,6 +108,11 @@ class BandMap:
         """Where lengths were known last: what lies behind is in metres."""
         self._was_metric = False
         self._set_unit(np.log(_START_DISTANCE_M))
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether the size is known, and lengths are metres."""
+        return self.window.is_metric
 
     @property
     def rig(self) -> Rig:
@@ -424,7 +429,7 @@ class BandMap:
         factor = float(np.exp(self._size.log_scale))
         window.rescale(factor, self._known_to_m)
         self.rho /= factor
-        self.is_metric = self._was_metric = True
+        window.is_metric = self._was_metric = True
         self._size.settle()
         self._search = ScaleSearch(config.scale)
         self._set_unit(0.0)
@@ -436,7 +441,7 @@ class BandMap:
         self.scale_sigma = self._size.sigma
         self._search.note(solution.log_scale)
         if self._search.contradicts():
-            self.is_metric = False
+            self.window.is_metric = False
             poses = self.window.poses
             self._known_to_m = inverse(poses.T_k_w[poses.order[0]])[:3, 3]
             self.window.forget_prior()

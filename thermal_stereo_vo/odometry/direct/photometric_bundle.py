@@ -50,7 +50,8 @@ class PhotometricProblem:
     its patches again with ``trust_gradient``.  ``bolometers`` (C,) bool: those are late, and
     patches of theirs may be so steep that residuals count as they weigh, not by their size.
     ``looseness`` (C,) is that of ``gather_patch``; between two views of the other camera there is
-    none.  ``prior`` is what keyframes that left still say.
+    none.  With ``guesses_err_together`` the ``rho_priors`` of one camera of one keyframe share an
+    error.  ``prior`` is what keyframes that left still say.
     """
 
     images: tuple[NDArray[np.float32], ...]
@@ -74,6 +75,7 @@ class PhotometricProblem:
     bolometers: NDArray[np.bool_]
     trust_gradient: float
     looseness: NDArray[np.float64]
+    guesses_err_together: bool
     prior: WindowPrior | None = None
 
     def take(self, chosen: NDArray[np.bool_]) -> PhotometricProblem:
@@ -94,7 +96,9 @@ class PhotometricProblem:
 
     @cached_property
     def guesses(self) -> SharedGuesses | None:
-        """The first depths, which err together where one camera of one keyframe guessed them."""
+        """The first depths with what those of one camera of one keyframe share; None if nothing."""
+        if not self.guesses_err_together:
+            return None
         cameras = self.seen.shape[2]
         group = self.hosts * cameras + self.host_cameras
         groups = self.seen.shape[1] * cameras

@@ -100,6 +100,12 @@ class PhotometricWindow:
         self._misses = np.zeros(capacity, np.int64)
         self._intensity = np.zeros(capacity, np.float32)
         self._prior: WindowPrior | None = None
+        self.is_metric = True
+        """Whether lengths are metres.
+
+        Until then nothing else than first depths carries the size on to what comes into view, and
+        each counts as if it erred by itself.  After, those of a camera of a keyframe err together.
+        """
         self.sigma = 5.0
         """Noise of a pixel's residual as the last adjustment found it."""
 
@@ -340,6 +346,7 @@ class PhotometricWindow:
                 self.rig.bolometers,
                 self._trust_gradient,
                 self.looseness,
+                self.is_metric,
                 self._prior,
             ),
             points,

@@ -77,7 +77,8 @@ class SharedGuesses:
         pull = self.information * self.rhos
         share = np.divide(pull, h_rho, out=np.zeros_like(pull), where=h_rho > 0.0)
         stiffness = self._stiffness - self._sum(pull * share)
-        cross = np.stack([self._sum(share * column) for column in W.T], axis=1)
+        groups = np.arange(len(self.worths))
+        cross = np.where(groups[:, None] == self.group, share, 0.0) @ W
         right = share * b_rho
         whole = self._sum(right)
         carried = cross / stiffness[:, None]
