@@ -82,6 +82,35 @@ def test_the_map_begins_anew_with_metres(tmp_path):
     assert found.xyz.tolist() == [[4, 5, 6]]
 
 
+def test_metres_stay_while_the_scale_is_lost_and_found_again(tmp_path):
+    found = written(
+        tmp_path,
+        (result(metric=False), cloud_of([9, 9, 9])),
+        (result(2), cloud_of([1, 2, 3])),
+        (result(3, metric=False), cloud_of([50, 60, 70])),
+        (result(4), cloud_of([4, 5, 6])),
+    )
+    assert found.xyz.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_what_has_no_unit_at_the_end_does_not_stand_beside_metres(tmp_path):
+    found = written(
+        tmp_path,
+        (result(), cloud_of([1, 2, 3])),
+        (result(2, metric=False), cloud_of([50, 60, 70])),
+    )
+    assert found.xyz.tolist() == [[1, 2, 3]]
+
+
+def test_a_map_that_never_had_metres_is_written_whole(tmp_path):
+    found = written(
+        tmp_path,
+        (result(metric=False), cloud_of([1, 2, 3])),
+        (result(2, metric=False), cloud_of([4, 5, 6])),
+    )
+    assert found.xyz.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
 def test_a_method_of_one_band_writes_no_map(tmp_path):
     file = MapFile(tmp_path / "map.ply")
     file.on_result(result())

@@ -19,8 +19,9 @@ COLOUR_PERCENT = (2.0, 98.0)
 class MapFile(Observer):
     """Gathers the points at each keyframe; ``close`` writes ``map.ply`` if two bands saw them.
 
-    Of several points in a small cube (a thousandth of the extent) the last one stays.  Once the
-    scale is known, points of before are forgotten.  Red is thermal, green and blue are visible.
+    Of several points in a small cube (a thousandth of the extent) the last one stays.  Where the
+    scale was ever known only points in metres are left, as of the trajectory; where it never was,
+    all are, in their arbitrary unit.  Red is thermal, green and blue are visible.
     """
 
     wants_points = True
@@ -29,17 +30,20 @@ class MapFile(Observer):
         self._path = path
         self._clouds: list[PointCloud] = []
         self._result: OdometryResult | None = None
-        self._was_metric = True
+        self._metric_only = False
 
     def on_result(self, result: OdometryResult) -> None:
-        if result.is_metric and not self._was_metric:
+        if result.is_metric and not self._metric_only:
+            self._metric_only = True
             self._clouds.clear()
-        self._was_metric = result.is_metric
         self._result = result
 
     def on_points(self, stamp_ns: int, cloud: PointCloud) -> None:
-        keyframe = self._result is not None and self._result.stats.keyframe
-        if keyframe and cloud.thermal_counts is not None and len(cloud.xyz):
+        result = self._result
+        if result is None or not result.stats.keyframe:
+            return
+        fits_in = result.is_metric or not self._metric_only
+        if fits_in and cloud.thermal_counts is not None and len(cloud.xyz):
             self._clouds.append(cloud)
 
     def close(self) -> None:
