@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from thermal_stereo_vo.core.kernels import retract, solve_positive
 from thermal_stereo_vo.odometry.direct.patch_sums import (
@@ -36,23 +33,6 @@ from thermal_stereo_vo.odometry.direct.photometric import PIXELS
 
 POSE = 6
 MIN_DAMPING, MAX_DAMPING = 1e-6, 1e5
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """Where a frame is.
-
-    ``T_rig_world`` (4, 4); ``brightness`` (C, 2) a and b of each camera; ``energies`` (C, N) mean
-    squared residual of each patch, NaN where it was not seen; ``A`` (6 + 2C, 6 + 2C) information
-    for a noise of one unit of brightness; ``cost`` mean energy of a patch.
-    """
-
-    T_rig_world: NDArray[np.float64]
-    brightness: NDArray[np.float64]
-    energies: NDArray[np.float64]
-    A: NDArray[np.float64]
-    cost: float
-    iterations: int
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,8 @@ with the affine brightness pair (a, b) of each image (Dai et al. 2019, eq. 3).
 Where the target is a camera of another band, the host's brightness says nothing of it: the patch is
 sampled again, at each iteration, where that other camera saw it at the host's time (eq. 6).  Both
 places depend on the inverse depth, and on the scale s of the map: with lengths of the map in units
-of exp(s) metres the lever arms of the cameras are exp(-s) of their length in metres.
+of exp(s) metres the lever arms of the cameras are exp(-s) of their length in metres.  How the two
+places move is told by one slope, the mean of both views (``patch_sums.share_slopes``).
 """
 
 from __future__ import annotations
@@ -116,6 +117,8 @@ def resample_patch(  # type: ignore[no-untyped-def]
 ):
     """Take a patch from where another camera saw it at the host's time (Dai et al. 2019, eq. 6).
 
+    The plain reference, pixel by pixel and with the slopes of this image alone: tests hold
+    ``patch_sums.view_patch`` and ``patch_sums.middle_slopes_at_home`` to it, no method runs it.
     ``image`` (H, W, 3) and ``camera`` (4,) of that other camera; ``T`` (4, 4) there from the host
     camera, ``arm`` (3,) the part of its translation that changes with the scale, ``drift`` (6,) its
     left perturbation by the lag.  Writes ``patch`` and ``trust`` (8,) and ``slopes`` (3, 8), the
