@@ -11,6 +11,7 @@ from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.core.errors import CalibrationError
 from thermal_stereo_vo.core.frames import GapReason
 from thermal_stereo_vo.core.results import TrackingStatus
+from thermal_stereo_vo.odometry.direct import stereo_method
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
 
 PERIOD_NS = 100_000_000
@@ -93,6 +94,59 @@ def test_the_window_pays(flight):
         assert sum(result.stats.keyframe for result in results) >= 4
         ends.append(error_m(results[-1], poses[-1]))
     assert 1e-4 < ends[1] < 1.5 * ends[0] < 0.1
+
+
+@pytest.fixture(params=[1, 2])
+def failing(request, monkeypatch):
+    """Odometry with many keyframes whose first adjustment fails, with and without a worker."""
+    adjust, asked = stereo_method.adjust_photometrically, []
+
+    def fails_first(*args, **kwargs):
+        asked.append(args)
+        if len(asked) == 1:
+            raise np.linalg.LinAlgError("singular matrix")
+        return adjust(*args, **kwargs)
+
+    monkeypatch.setattr(stereo_method, "adjust_photometrically", fails_first)
+    return direct(f"threads={request.param}", "direct.keyframes.parallax_px=1")
+
+
+def test_an_adjustment_that_fails_is_told_once_and_the_next_one_counts(flight, failing):
+    frames, poses = flight
+    results = [failing.process(frame) for frame in frames]
+    told = [i for i, result in enumerate(results) if "LinAlgError: singular" in result.reason]
+    adjusted = [i for i, result in enumerate(results) if "bundle" in result.stats.stage_ms]
+    assert len(told) == 1
+    assert len(adjusted) >= 2
+    assert told[0] < adjusted[0]
+    for result, T in zip(results[1:], poses[1:], strict=True):
+        assert result.status is TrackingStatus.TRACKING
+        assert error_m(result, T) < 0.05
+
+
+def until_adjusted(odometry, frames):
+    """How many frames it takes until the last one has begun an adjustment."""
+    keyframes = (odometry.process(frame).stats.keyframe for frame in frames)
+    return next(n for n, keyframe in enumerate(keyframes, start=1) if keyframe and n > 1)
+
+
+def test_a_failure_does_not_hide_why_a_frame_was_not_measured(flight, failing):
+    frames, _ = flight
+    frame = frames[until_adjusted(failing, frames)]
+    blind = replace(frame, views={}, blind=dict.fromkeys(frame.views, GapReason.FFC))
+    reason = failing.process(blind).reason
+    assert "ffc" in reason
+    assert "LinAlgError: singular matrix" in reason
+
+
+def test_an_adjustment_that_fails_does_not_hold_up_a_reset(flight, failing):
+    frames, poses = flight
+    n = until_adjusted(failing, frames)
+    failing.reset(poses[n])
+    results = [failing.process(frame) for frame in frames[n:]]
+    assert not any("LinAlgError" in result.reason for result in results)
+    for result, T in zip(results, poses[n:], strict=True):
+        assert error_m(result, T) < 0.05
 
 
 def test_a_lens_that_bends_rays_is_refused(flight):

@@ -9,8 +9,8 @@ what those say of the others stays as a prior; the oldest that is left is held.
 
 from __future__ import annotations
 
-from concurrent.futures import Future
-from dataclasses import dataclass
+from concurrent.futures import Future, wait
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +138,7 @@ class StereoDirectOdometry:
         self._tracker = FrameTracker(config.photometric)
         self._timer = StageTimer()
         self._state = OdometryState(status, np.eye(4), gyro)
+        self._bundle: Future[tuple[PhotometricSolution | None, float]] | None = None
         self._forget()
 
     def warm_up(self) -> None:
@@ -155,13 +156,12 @@ class StereoDirectOdometry:
         self._forget()
 
     def _forget(self) -> None:
-        bundle = getattr(self, "_bundle", None)
-        if bundle is not None:
-            bundle.result()
+        if self._bundle is not None:
+            wait([self._bundle])  # what it finds, or raises, is of no use any more
+        self._bundle = None
         self._unit: BrightnessUnit | None = None
         self._window: PhotometricWindow | None = None
         self._keyframe_count = 0
-        self._bundle: Future[tuple[PhotometricSolution | None, float]] | None = None
         self._bundle_points: PointSet | None = None
         self._brightness = np.zeros((2, 2))
         self._last_measured = self._state.pose
@@ -180,8 +180,7 @@ class StereoDirectOdometry:
     def process(self, frame: RigFrame) -> OdometryResult:
         """Align with the window; make a keyframe when the view has changed."""
         self._state.advance(frame.stamp_ns, by_bolometer=frame.has_counts)
-        if self._window is not None:
-            self._finish_bundle(self._window)
+        failure = "" if self._window is None else self._finish_bundle(self._window)
         if not frame.views:
             self._tracked = None
             result = self._state.unmeasured(TrackStats(), blindness(frame))
@@ -189,7 +188,8 @@ class StereoDirectOdometry:
             result = self._start(frame)
         else:
             result = self._track(self._window, frame)
-        return with_stages(result, self._timer.take())
+        reason = "; ".join(text for text in (result.reason, failure) if text)
+        return with_stages(replace(result, reason=reason), self._timer.take())
 
     # --- tracking ---------------------------------------------------------------------------------
 
@@ -323,18 +323,22 @@ class StereoDirectOdometry:
             iterations=config.keyframes.bundle_iterations,
         )
 
-    def _finish_bundle(self, window: PhotometricWindow) -> None:
+    def _finish_bundle(self, window: PhotometricWindow) -> str:
         """Wait for the adjustment that the last frame started, and take it over.
 
         It is always taken over just before the next frame, however fast it was: timing must not
-        change results.
+        change results.  One that failed leaves the window as it is; returns why, else nothing.
         """
-        if self._bundle is None:
-            return
-        with self._timer.stage("wait for bundle"):
-            solution, spent_ms = self._bundle.result()
+        bundle, self._bundle = self._bundle, None
+        if bundle is None:
+            return ""
+        try:
+            with self._timer.stage("wait for bundle"):
+                solution, spent_ms = bundle.result()
+        except Exception as error:  # whatever it is, the next keyframe has another try
+            return f"the adjustment of the keyframes failed: {type(error).__name__}: {error}"
         self._timer.add("bundle", spent_ms)
-        points, self._bundle = self._bundle_points, None
+        points = self._bundle_points
         if solution is not None and points is not None:
             window.apply(
                 solution,
@@ -345,6 +349,7 @@ class StereoDirectOdometry:
             self._brightness = window.brightness[window.poses.newest].copy()
             # The last frame was that keyframe: the pose goes on from where it is now known to be.
             self._state.pose = self._last_measured = window.poses.newest_pose()
+        return ""
 
     # --- start and recovery -----------------------------------------------------------------------
 
