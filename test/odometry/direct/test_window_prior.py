@@ -91,6 +91,24 @@ def test_marginalising_first_gives_what_solving_all_at_once_gives(rng):
     np.testing.assert_allclose(offsets[rest], step[stay][rest], atol=1e-8)
 
 
+def test_a_lag_that_is_forgotten_leaves_the_others_what_any_lag_would(rng):
+    problem = replace(
+        window_problem(rng, points=32, keyframes=K), bands=True, bolometers=np.array([False, True])
+    )
+    prior = left_behind(problem, 0, huber=HUBER, gate=GATE, weight=1.0)
+    prior = replace(prior, b=prior.b + np.abs(prior.H).max() * rng.normal(size=len(prior.b)))
+    assert prior.H[-1, -1] > 0.0
+    found = prior.forgetting_lag()
+    own = np.arange(len(prior.b)) == len(prior.b) - 1
+    H, b = eliminate_reference(prior.H, prior.b, own)
+    size = np.abs(prior.H).max()
+    np.testing.assert_allclose(found.H[:-1, :-1], H, rtol=1e-7, atol=1e-9 * size)
+    np.testing.assert_allclose(found.b[:-1], b, rtol=1e-7, atol=1e-6 * size)
+    assert not np.any(found.H[-1])
+    assert found.b[-1] == 0.0
+    assert not np.any(found.scatter[-1])
+
+
 def one_camera(rng):
     """Four keyframes seen by one camera, as when the scale is not known; its arm is zero."""
     problem = window_problem(rng, points=32, keyframes=K)

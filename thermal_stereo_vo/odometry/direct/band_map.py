@@ -440,6 +440,8 @@ class BandMap:
         self._size.update(0.0, solution.log_scale_sigma)
         self.scale_sigma = self._size.sigma
         self._search.note(solution.log_scale)
+            if len(self.roles) > 1:
+                self._lag_check.add(float(self.rig.lags_s[1]), update.solution.lag_sigma_s)
         if self._search.contradicts():
             self.window.is_metric = False
             poses = self.window.poses

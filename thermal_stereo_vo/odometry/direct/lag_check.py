@@ -18,7 +18,7 @@ _RELIEF = 0.5
 
 
 class LagCheck:
-    """Gathers what windows say of the lag, while the scale is looked for."""
+    """Gathers what windows say of the lag."""
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s

@@ -257,6 +257,9 @@ class PhotometricWindow:
     def forget_prior(self) -> None:
         """Believe no longer what keyframes said that have left."""
         self._prior = None
+        if self.has_image[self.poses.newest].all():
+            # Windows with all cameras tell the lag anew, which may grow; else the past must.
+            self._prior = self._prior.forgetting_lag()
 
     def add_points(
         self,

@@ -111,19 +111,30 @@ class WindowPrior:
         size = (len(self.b) - SHARED) // len(self.T_first)
         own = np.zeros(len(self.b), np.bool_)
         own[left * size : (left + 1) * size] = True
+        rest = self._with_free(own)
+        stay, keep = ~own, np.arange(len(self.T_first)) != left
+        return replace(
+            rest,
+            H=np.ascontiguousarray(rest.H[np.ix_(stay, stay)]),
+            b=rest.b[stay],
+            scatter=np.ascontiguousarray(rest.scatter[np.ix_(stay, stay)]),
+            T_first=self.T_first[keep],
+            brightness_first=self.brightness_first[keep],
+        )
+
+    def forgetting_lag(self) -> WindowPrior:
+        """The same where the lag may be any other from now on."""
+        own = np.zeros(len(self.b), np.bool_)
+        own[-1] = True
+        return self._with_free(own)
+
+    def _with_free(self, own: NDArray[np.bool_]) -> WindowPrior:
+        """What stays known of the others when nothing more is known of unknowns ``own`` (U,)."""
         H, right = self.H.copy(), np.column_stack([self.b, self.scatter])
         eliminate(H, right, own)
         scatter = np.ascontiguousarray(right[:, 1:].T)
         eliminate(self.H.copy(), scatter, own)
-        stay, keep = ~own, np.arange(len(self.T_first)) != left
-        return replace(
-            self,
-            H=np.ascontiguousarray(H[np.ix_(stay, stay)]),
-            b=right[stay, 0],
-            scatter=np.ascontiguousarray(scatter[np.ix_(stay, stay)]),
-            T_first=self.T_first[keep],
-            brightness_first=self.brightness_first[keep],
-        )
+        return replace(self, H=H, b=right[:, 0].copy(), scatter=scatter)
 
     def with_newest(
         self, T_k_w: NDArray[np.float64], brightness: NDArray[np.float64]
