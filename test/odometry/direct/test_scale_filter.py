@@ -36,8 +36,8 @@ def test_windows_that_tell_nothing_leave_the_drift():
 
 def test_what_a_window_hands_on_weighs_as_what_it_says():
     found = filter_of(0.01**2, 0.0)
-    found.carry(0.004**2)
-    assert found.sigma == pytest.approx(np.sqrt(0.01**2 + WORTH * 0.004**2))
+    found.carry(0.0014**2)
+    assert found.sigma == pytest.approx(np.sqrt(0.01**2 + 8.0 * WORTH * 0.0014**2))
     assert found.hold == pytest.approx(found.sigma / np.sqrt(WORTH))
     found.update(0.0, 0.01)
     assert found.sigma < 0.03

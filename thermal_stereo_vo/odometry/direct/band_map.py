@@ -242,8 +242,7 @@ class BandMap:
         window = self.window
         pose, covariance = self._start, np.zeros((6, 6))
         if tracked is not None:
-            pose = self.pose_of(tracked)
-            covariance = self._config.covariance_scale * tracked.covariance
+            pose, covariance = self.pose_of(tracked), tracked.covariance
         T = inverse(pose.T_world_rig)
         new = [
             (camera, *self._new_points(frame, camera, pyramids, tracked, T))
@@ -257,7 +256,8 @@ class BandMap:
                 window.marginalise(self._dispensable(T), self._config.photometric)
             else:
                 window.drop_keyframe(self._dispensable(T))
-        slot = window.add_keyframe(pose, covariance, pyramids, brightness)
+        claimed = self._config.covariance_scale * covariance
+        slot = window.add_keyframe(pose, claimed, pyramids, brightness)
         if late is not None:
             window.twists[slot] = late.lately(T)
         for camera, pixels, rhos in new:
@@ -405,8 +405,8 @@ class BandMap:
             config.covariance_scale,
             spare,
         )
-        covariance = config.covariance_scale * update.solution.covariance
-        self._solved = SolvedWindow(tuple(window.poses.order), update.solution.T_k_w, covariance)
+        solution = update.solution
+        self._solved = SolvedWindow(tuple(window.poses.order), solution.T_k_w, solution.covariance)
         if update.turn is not None:
             self._rig_check.add(update.turn, has_told_scale=self.is_metric)
         if update.scale is not None:

@@ -10,6 +10,8 @@ _TRUST = 16.0
 """Errors of windows have so many times the variance that their residuals claim."""
 _OVERLAP = 3.5
 """Windows that share keyframes say nearly the same: so many of them count as one."""
+_UNSURE_POSES = 8.0
+"""What the covariance of poses says of sizes has so many times less variance than errors have."""
 _SETTLING = 12.0
 """Windows over which a young map comes to rest."""
 _OUTLIER = 3.0
@@ -62,7 +64,7 @@ class ScaleFilter:
 
     def carry(self, variance: float) -> None:
         """The map has gone on, and what is known of it is less sure by ``variance``, as claimed."""
-        self._variance += _TRUST * _OVERLAP * variance
+        self._variance += _UNSURE_POSES * _TRUST * _OVERLAP * variance
 
     def update(self, log_scale: float, window_sigma: float) -> None:
         """A window says ``log_scale`` and claims ``window_sigma``, infinite where it knows nothing.
