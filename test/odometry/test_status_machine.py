@@ -325,3 +325,14 @@ def test_a_blind_frame_lags_as_the_last_one_with_images():
     s.advance(2 * S // 10, by_bolometer=None)
     result = s.unmeasured(TrackStats(), "blind")
     np.testing.assert_allclose(result.T_world_rig, seen.T_world_rig @ T_STEP, atol=1e-9)
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_lengths_in_another_unit_are_a_reset_where_poses_went_out_before(is_reset):
+    s = state()
+    s.advance(0)
+    s.started(TrackStats())
+    s.rescale(2.0, s.pose, is_reset=is_reset)
+    s.advance(10**8)
+    result = s.measured(s.pose, np.eye(4), np.eye(6), 0.1, TrackStats(inliers=100))
+    assert result.reset_counter == int(is_reset)

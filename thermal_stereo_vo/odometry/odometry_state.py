@@ -100,8 +100,12 @@ class OdometryState:
         self._go_by_inertia(before_ns)
         return self._step_s
 
-    def rescale(self, factor: float, pose: PoseEstimate) -> None:
-        """Lengths were in a unit of ``factor`` so far; the rig is at ``pose`` in the new one."""
+    def rescale(self, factor: float, pose: PoseEstimate, *, is_reset: bool = False) -> None:
+        """Lengths were in a unit of ``factor`` so far; the rig is at ``pose`` in the new one.
+
+        Where poses went out before, in another unit, that counts as a reset.
+        """
+        self._status.reset_counter += int(is_reset)
         lengths = np.array([factor] * 3 + [1.0] * 3)
         self.pose = pose
         self._twist_covariance *= np.outer(lengths, lengths)

@@ -17,6 +17,7 @@ from thermal_stereo_vo.core.results import TrackingStatus
 from thermal_stereo_vo.core.transforms import inverse
 from thermal_stereo_vo.evaluation.alignment import umeyama
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
+from thermal_stereo_vo.odometry.workers import InlineExecutor
 
 from .two_band_room import Room, sliding, swaying
 
@@ -164,6 +165,55 @@ def test_a_picture_that_shows_nothing_does_no_harm(flight, flown, role, value):
     check_that_it_goes_on(flight, flown, filled, 8)
 
 
+def noise(view, rng):
+    """Nobody's scene, as strong as the true one, another one each time."""
+    height, width = view.image.shape
+    waves = rng.normal(0, 100, (height // 8, width // 8)).astype(np.float32)
+    return 7000 + cv2.resize(waves, (width, height), interpolation=cv2.INTER_CUBIC)
+
+
+def shutter(view, rng):
+    """A warm blade out of focus."""
+    y, x = np.indices(view.image.shape)
+    return 7300 + 60 * np.cos(x / 60) * np.cos(y / 50)
+
+
+def contradicting(image_of):
+    """Frames whose thermal picture nobody says is not of the scene."""
+    rng = np.random.default_rng(8)
+
+    def part(frame):
+        view = frame.views[THERMAL]
+        image = np.clip(image_of(view, rng), 0, 16383).astype(np.uint16)
+        return replace(frame, views={**frame.views, THERMAL: replace(view, image=image)})
+
+    return part
+
+
+@pytest.mark.parametrize("image_of", [noise, shutter])
+def test_a_picture_that_contradicts_the_other_camera_is_left_out_and_said_to_be(
+    flight, flown, image_of
+):
+    results = check_that_it_goes_on(flight, flown, contradicting(image_of), 8)
+    told = ["thermal camera shows does not fit" in result.reason for result in results]
+    assert told == [True] * 8 + [False] * (len(told) - 8)
+    # It makes no keyframes: those would be full of what it shows.
+    gone = fly(copied(flown[0]), [without(f, THERMAL) for f in flight[0][START : START + 8]])
+    assert [r.stats.keyframe for r in results[:8]] == [r.stats.keyframe for r in gone]
+
+
+def test_a_camera_that_has_long_contradicted_begins_anew(flight, flown):
+    method = copied(flown[0])
+    method._patience_ns = 200_000_000
+    strange = contradicting(noise)
+    fly(method, map(strange, flight[0][START : START + 7]))
+    results = fly(method, flight[0][START + 7 : START + 20])
+    assert all(result.status is TrackingStatus.TRACKING for result in results)
+    assert results[-1].reason == ""
+    assert method._shown[1]
+    assert method._map.count(1) > 100
+
+
 def check_that_it_goes_on(flight, flown, part, count):
     """Measured in metres and without a jump, while a camera is away and when it is back."""
     frames, poses = flight
@@ -181,6 +231,7 @@ def check_that_it_goes_on(flight, flown, part, count):
     assert max(steps) < 0.015
     _, error_m = scale_and_error(found[:, :3, 3], true[:, :3, 3])
     assert error_m < 0.02
+    return results
 
 
 @pytest.mark.parametrize("path", [sliding, lambda count: np.tile(np.eye(4), (count, 1, 1))])
@@ -190,6 +241,8 @@ def test_motion_that_tells_no_scale_is_said_to_tell_none(path):
     results = fly(odometry(), [room.frame(i, T, rng) for i, T in enumerate(poses)])
     assert not any(result.scale_converged for result in results)
     assert all(result.status is TrackingStatus.TRACKING for result in results[1:])
+    assert all("scale" in result.reason for result in results[1:])
+    assert all("move sideways and turn" in result.reason for result in results[1:])
     found = np.array([result.T_world_rig[:3, 3] for result in results])
     turned = [np.trace(result.T_world_rig[:3, :3]) for result in results]
     assert min(turned) > 1.0 + 2.0 * np.cos(0.03)
@@ -224,6 +277,7 @@ def test_one_camera_alone_makes_a_map_without_unit(flight, role):
     alone = [without(frame, THERMAL if role == VISIBLE else VISIBLE) for frame in frames[:60]]
     results = fly(odometry(), alone)
     assert not any(result.scale_converged for result in results)
+    assert f"the {role} camera alone does not tell them" in results[-1].reason
     T_rig_camera = frames[0].views[role].T_rig_camera
     found = np.array([result.T_world_rig[:3, 3] for result in results])
     true = (poses[:60] @ T_rig_camera)[:, :3, 3]
@@ -252,6 +306,73 @@ def test_threads_change_nothing(flight):
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.T_world_rig, b.T_world_rig)
         assert a.stats == b.stats
+
+
+def test_a_map_shows_what_was_measured_and_nothing_that_was_guessed(flown):
+    method = copied(flown[0])
+    tracked = method._tracked
+    assert len(method.local_map().xyz) > 0.5 * tracked.count
+    sigma, rhos = method._map.window.sigma, tracked.points.rhos
+    guessed = replace(tracked.points, rho_information=(sigma / (0.5 * rhos)) ** 2)
+    method._tracked = replace(tracked, points=guessed)
+    assert len(method.local_map().xyz) == 0
+
+
+def test_what_covariances_are_multiplied_by_moves_no_pose(flight, flown, results):
+    method = copied(flown[0])
+    method._config = method._map._config = replace(method._config, covariance_scale=80.0)
+    after = fly(method, flight[0][START:])
+    for one, other in zip(after, results[START:], strict=True):
+        # What is predicted hangs on them, and is where the search begins.
+        np.testing.assert_allclose(one.T_world_rig, other.T_world_rig, atol=1e-7)
+        assert one.stats.scale_sigma == pytest.approx(other.stats.scale_sigma, rel=1e-4)
+    assert np.all(np.diag(after[-1].covariance) > np.diag(results[-1].covariance))
+
+
+def test_the_frame_after_a_keyframe_does_not_wait_for_its_adjustment(flight, flown):
+    method, ready = copied(flown[0]), []
+    keyframes = []
+    for frame in flight[0][START:]:
+        keyframes.append(method.process(frame).stats.keyframe)
+        ready.append(method._update is None)
+    for i in range(2, len(ready)):
+        if keyframes[i - 1] and not keyframes[i]:
+            assert not ready[i]
+        if not keyframes[i] and not keyframes[i - 1]:
+            assert ready[i]
+    assert sum(keyframes[1:-1]) > 2
+
+
+class Failing(InlineExecutor):
+    """Its first job fails."""
+
+    failed = False
+
+    def submit(self, job, /, *args, **kwargs):
+        if self.failed:
+            return super().submit(job, *args, **kwargs)
+        self.failed = True
+        return super().submit(np.linalg.cholesky, -np.eye(2))
+
+
+def test_an_adjustment_that_fails_is_told_once_and_the_next_one_counts(flight, flown):
+    frames, poses = flight
+    method = copied(flown[0])
+    method._update, method._worker = None, Failing()
+    results = fly(method, frames[START:])
+    told = [result.reason for result in results if result.reason]
+    assert len(told) == 1
+    assert "adjustment of the keyframes failed: LinAlgError: " in told[0]
+    assert sum("bundle" in result.stats.stage_ms for result in results) >= 2
+    found = np.array([result.T_world_rig[:3, 3] for result in results])
+    assert scale_and_error(found, poses[START:, :3, 3])[1] < 0.02
+
+
+def test_an_adjustment_that_fails_does_not_hold_up_a_reset(flight, flown):
+    method = copied(flown[0])
+    method._update = Failing().submit(max, 1)
+    method.reset(np.eye(4))
+    assert method.process(flight[0][START]).reason == "first frame"
 
 
 def contradicted(method):
@@ -311,6 +432,7 @@ def test_what_came_into_view_and_is_of_unknown_size_is_said_to_be(flight, flown)
 
 def test_a_window_that_says_little_of_its_poses_hands_little_on(flight, flown):
     sure, unsure = copied(flown[0]), copied(flown[0])
+    sure._update = unsure._update = None
     solved = unsure._map._solved
     unsure._map._solved = replace(solved, covariance=1e4 * solved.covariance)
     for method in (sure, unsure):

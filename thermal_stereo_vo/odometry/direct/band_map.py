@@ -49,6 +49,7 @@ _GUESS_SIGMA = 0.5
 _LEAST_OF_NEWEST = 20
 _START_DISTANCE_M = 4.0
 _RIG_CHECK_EACH = 4
+_TELLS_NOTHING = 0.5
 
 
 @dataclass(frozen=True)
@@ -139,9 +140,34 @@ class BandMap:
         return "; ".join(faults) or None
 
     @property
+    def roles(self) -> tuple[str, ...]:
+        """The cameras that the map is of."""
+        return self._images.roles
+
+    @property
+    def is_looked_for_again(self) -> bool:
+        """Whether the size was known once and proved wrong."""
+        return self._was_metric and not self.is_metric
+
+    @property
+    def open_size(self) -> str | None:
+        """Why lengths are in no unit; None where they are metres."""
+        if self.is_metric:
+            return None
+        if len(self.roles) < 2:
+            return f"lengths are in no unit: the {self.roles[0]} camera alone does not tell them"
+        if self.scale_sigma is None or not self.scale_sigma < _TELLS_NOTHING:
+            return "the motion so far does not tell the scale: move sideways and turn"
+        known, asked = 100.0 * self.scale_sigma, 100.0 * self._config.scale.sigma
+        return (
+            f"the scale is known to {known:.0f} % so far, not to {asked:g} %: "
+            "move sideways and turn"
+        )
+
+    @property
     def doubt(self) -> str | None:
         """Why lengths are not to be trusted now, though they were in metres before."""
-        if self._was_metric and not self.is_metric:
+        if self.is_looked_for_again:
             return "the size of the map was wrong and is looked for again: move sideways and turn"
         if self.is_metric and (self.scale_sigma or 0.0) > self._config.scale.reopen:
             percent = 100.0 * (self.scale_sigma or 0.0)
@@ -414,6 +440,8 @@ class BandMap:
             self._lag_check.add(float(self.rig.lags_s[1]) + joint.lag_s, joint.lag_sigma_s)
         if self.is_metric:
             self._shift_lag(update.solution.lag_s)
+            if len(self.roles) > 1:
+                self._lag_check.add(float(self.rig.lags_s[1]), update.solution.lag_sigma_s)
             self._watch(update.solution)
             return None
         if update.scale is None:
@@ -440,8 +468,6 @@ class BandMap:
         self._size.update(0.0, solution.log_scale_sigma)
         self.scale_sigma = self._size.sigma
         self._search.note(solution.log_scale)
-            if len(self.roles) > 1:
-                self._lag_check.add(float(self.rig.lags_s[1]), update.solution.lag_sigma_s)
         if self._search.contradicts():
             self.window.is_metric = False
             poses = self.window.poses

@@ -48,6 +48,13 @@ class Tracked:
         """Number of patches that fit."""
         return int(self.fits.sum())
 
+    def fit_by(self, camera: int, config: PhotometricConfig) -> bool:
+        """Whether the patches of one camera fit as well as those of all must; few tell nothing."""
+        mine = self.seen & (self.points.host_cameras == camera)
+        shown = int(mine.sum())
+        fitting = int((mine & self.fits).sum())
+        return shown < config.min_inliers or fitting >= config.min_inlier_share * shown
+
 
 class FrameTracker:
     """Coarse-to-fine alignment of frames with a window."""

@@ -39,6 +39,8 @@ _ROLES = (VISIBLE, THERMAL)
 _TOP, _SECOND_TOP = 3, 1
 _UNKNOWN = 1e6
 """Variance (square of any unit) of lengths whose unit is unknown."""
+_TIME_FOR_UPDATE = 2
+"""An adjustment has until so many frames after its keyframe."""
 
 
 class MultispectralOdometry:
@@ -70,6 +72,7 @@ class MultispectralOdometry:
         self._timer = StageTimer()
         exposure = Lag(1e-3 * config.exposure_lag_ms, 1e-3 * config.exposure_lag_sigma_ms)
         self._state = OdometryState(status, np.eye(4), gyro, exposure)
+        self._patience_ns = round(1e9 * status.coast_max_s)
         self._update: Future[tuple[MapUpdate | None, float]] | None = None
         self._forget()
 
@@ -87,21 +90,30 @@ class MultispectralOdometry:
         self._forget()
 
     def _forget(self) -> None:
-        if self._update is not None:
-            self._update.result()
-        self._update = None
+        self._awaited_update()
         self._rng = np.random.default_rng(self._seed)
         self._images: BandImages | None = None
         self._map: BandMap | None = None
         self._tracked: Tracked | None = None
         self._frame: RigFrame | None = None
         self._twist_before: tuple[NDArray[np.float64], float] | None = None
+        self._frames_since = 0
+        """Frames since the newest keyframe."""
+        self._failure = ""
+        """Why the last adjustment found nothing, until it is told."""
+        self._contradicts = False
+        """Whether the second camera is there and shows something else than its points."""
+        self._contradicts_since_ns: int | None = None
 
     def local_map(self) -> PointCloud:
-        """The points that the last frame saw, with what both cameras show of them."""
+        """The points that the last frame saw, with what both cameras show of them.
+
+        Those whose distance is no more than guessed stay out.
+        """
         if self._map is None or self._tracked is None or self._frame is None:
             return PointCloud.empty()
-        points = self._tracked.points.take(np.flatnonzero(self._tracked.fits))
+        shown = self._tracked.fits & self._map.window.are_measured(self._tracked.points)
+        points = self._tracked.points.take(np.flatnonzero(shown))
         return self._map.cloud(points, self._frame, self._tracked.T_rig_world)
 
     def process(self, frame: RigFrame) -> OdometryResult:
@@ -109,21 +121,32 @@ class MultispectralOdometry:
         # The rig is where its first camera saw it from, which is no bolometer.
         self._state.advance(frame.stamp_ns, by_bolometer=False)
         self._frame = frame
-        if self._map is not None:
+        here = usable_roles(frame, _ROLES)
+        self._frames_since += 1
+        if self._map is not None and (self._frames_since >= _TIME_FOR_UPDATE or not here):
             self._finish_update(self._map)
-        if not usable_roles(frame, _ROLES):
+        if not here:
             self._tracked = None
             result = self._state.unmeasured(TrackStats(), blindness(frame, _ROLES))
         elif self._map is None or self._images is None:
             result = self._start(frame)
         else:
             result = self._track(self._map, self._images, frame)
-        result = with_stages(result, self._timer.take())
-        fault = None if self._map is None else self._map.rig_fault or self._map.doubt
-        if fault is not None and result.status is TrackingStatus.TRACKING:
-            result = replace(result, status=TrackingStatus.DEGRADED, reason=fault)
-        metric = self._map is not None and self._map.is_metric
-        return replace(result, scale_converged=True) if metric else without_unit(result)
+        return self._explained(with_stages(result, self._timer.take()))
+
+    def _explained(self, result: OdometryResult) -> OdometryResult:
+        """With all that there is to say of it."""
+        reasons, self._failure = [result.reason, self._failure], ""
+        if self._map is None or not self._map.is_metric:
+            result = without_unit(result)
+        else:
+            result = replace(result, scale_converged=True)
+        if self._map is not None and result.status is TrackingStatus.TRACKING:
+            fault = self._map.rig_fault or self._map.doubt
+            reasons.append(fault or self._map.open_size or "")
+            if fault is not None:
+                result = replace(result, status=TrackingStatus.DEGRADED)
+        return replace(result, reason="; ".join(reason for reason in reasons if reason))
 
     # --- tracking ---------------------------------------------------------------------------------
 
@@ -132,11 +155,19 @@ class MultispectralOdometry:
         elapsed_s = (frame.stamp_ns - last_ns) * 1e-9
         late = LateCameras.after(band_map.rig.lags_s, T_last, elapsed_s, self._twist_before)
         pyramids, tracked = self._locate(band_map, images, frame, late)
+        if self._update is not None and (
+            tracked is None or band_map.keyframe_is_due(tracked, pyramids)
+        ):
+            # A keyframe stands on the one before, and what is not found may be found after it.
+            self._finish_update(band_map)
+            return self._track(band_map, images, frame)
         self._tracked = tracked
         here = usable_roles(frame, _ROLES)
         if tracked is None:
             self._shown = np.zeros(len(images.roles), np.bool_)
-            result = self._state.unmeasured(TrackStats(), "the image does not fit the keyframes")
+            missing = [role for role in images.roles if role not in here]
+            reason = blindness(frame, missing) or "the image does not fit the keyframes"
+            result = self._state.unmeasured(TrackStats(), reason)
             if result.status is TrackingStatus.LOST or not band_map.has_been_followed:
                 self._begin(frame)
             return result
@@ -151,6 +182,7 @@ class MultispectralOdometry:
         self, band_map: BandMap, images: BandImages, frame: RigFrame, late: LateCameras
     ) -> tuple[Pyramids, Tracked | None]:
         """First by the first camera, then by all: its motion takes the smear from the others."""
+        self._contradicts = False
         T_start = inverse(self._state.predicted())
         rho, rig = band_map.rho, band_map.rig
         cameras = len(images.roles)
@@ -174,6 +206,7 @@ class MultispectralOdometry:
             tracked = self._find(band_map, alone, T_start, light, late)
         if cameras == 1:
             return alone, tracked
+        led = tracked is not None
         T = T_start if tracked is None else tracked.T_rig_world
         with self._timer.stage("pyramid"):
             pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
@@ -189,7 +222,11 @@ class MultispectralOdometry:
             with self._timer.stage("pyramid"):
                 pyramids = first, images.pyramid(frame, 1, late.twist(T), rho, rig)
         both = self._join(window, pyramids, T, tracked.brightness, late)
-        return pyramids, tracked if both is None else both
+        if both is not None:
+            return pyramids, both
+        # Nothing is learnt from a picture that contradicts the first camera.
+        self._contradicts = led
+        return alone if led else pyramids, tracked
 
     def _join(
         self,
@@ -202,8 +239,9 @@ class MultispectralOdometry:
         top = _SECOND_TOP if self._shown[1] else _TOP
         with self._timer.stage("align both"):
             tracked = self._tracker.track(window, pyramids, T, brightness, late, top)
-        self._shown[1] = tracked is not None
-        return tracked
+        fits = tracked is not None and tracked.fit_by(1, self._config.photometric)
+        self._shown[1] = fits
+        return tracked if fits else None
 
     def _find(
         self,
@@ -251,39 +289,75 @@ class MultispectralOdometry:
         covariance = self._config.covariance_scale * tracked.covariance
         motion = T @ inverse(late.T_before)
         result = self._state.measured(pose, motion, covariance, late.elapsed_s, stats)
+        result = replace(result, reason=self._contradiction(band_map, frame))
         self._twist_before = late.mean_twist(T), late.elapsed_s
         self._last = T, frame.stamp_ns
         if is_keyframe:
             with self._timer.stage("keyframe"):
                 band_map.add_keyframe(frame, pyramids, tracked, late, self._brightness)
                 self._update = self._worker.submit(timed, band_map.adjustment())
+                self._frames_since = 0
         return result
 
-    def _finish_update(self, band_map: BandMap) -> None:
-        """Wait for the adjustment that the last frame started, and take it over.
+    def _contradiction(self, band_map: BandMap, frame: RigFrame) -> str:
+        """Says so where the second camera's picture is not used as it does not fit.
 
-        It is always taken over just before the next frame, however fast it was: timing must not
-        change results.
+        After a while its points are given up instead: the next keyframe begins with it anew.
         """
-        if self._update is None:
-            return
-        with self._timer.stage("wait for bundle"):
-            update, spent_ms = self._update.result()
+        if not self._contradicts:
+            self._contradicts_since_ns = None
+            return ""
+        if self._contradicts_since_ns is None:
+            self._contradicts_since_ns = frame.stamp_ns
+        if frame.stamp_ns - self._contradicts_since_ns > self._patience_ns:
+            self._contradicts_since_ns = None
+            band_map.window.drop_camera(1)
+        return f"what the {band_map.roles[1]} camera shows does not fit, and is left out"
+
+    def _awaited_update(self) -> MapUpdate | None:
+        """What the adjustment under way has found; None where there is none, or where it failed."""
+        update, self._update = self._update, None
+        if update is None:
+            return None
+        try:
+            with self._timer.stage("wait for bundle"):
+                found, spent_ms = update.result()
+        except Exception as error:  # whatever it is, the next keyframe has another try
+            self._failure = (
+                f"the adjustment of the keyframes failed: {type(error).__name__}: {error}"
+            )
+            return None
         self._timer.add("bundle", spent_ms)
-        self._update = None
+        return found
+
+    def _finish_update(self, band_map: BandMap) -> None:
+        """Wait for the adjustment of the newest keyframe, and take it over.
+
+        It is always taken over before the second frame after, however fast it was, or before the
+        first one where that does not fit or becomes a keyframe: timing must not change results.
+        """
+        update = self._awaited_update()
         if update is None:
             return
-        factor = band_map.take(update)
         window = band_map.window
         newest = window.poses.newest
-        self._brightness = window.brightness[newest].copy()
-        # The last frame was that keyframe: the pose goes on from where it is now known to be.
-        self._last = window.poses.T_k_w[newest].copy(), self._last[1]
+        T_last_newest = self._last[0] @ inverse(window.poses.T_k_w[newest])
+        begins_again = band_map.is_looked_for_again
+        factor = band_map.take(update)
+        T_last_newest[:3, 3] *= factor or 1.0
+        # The pose goes on from where the keyframe is now known to be.
+        self._last = T_last_newest @ window.poses.T_k_w[newest], self._last[1]
         pose = window.poses.newest_pose()
+        if self._frames_since < _TIME_FOR_UPDATE or self._tracked is None:
+            self._brightness = window.brightness[newest].copy()
+        else:
+            lengths = np.array([factor or 1.0] * 3 + [1.0] * 3)
+            covariance = self._config.covariance_scale * self._tracked.covariance
+            pose = pose.moved(T_last_newest, covariance * np.outer(lengths, lengths))
         if factor is None:
             self._state.pose = pose
             return
-        self._state.rescale(factor, pose)
+        self._state.rescale(factor, pose, is_reset=begins_again)
         if self._twist_before is not None:
             self._twist_before[0][:3] *= factor
 
@@ -300,6 +374,7 @@ class MultispectralOdometry:
 
     def _begin(self, frame: RigFrame) -> None:
         """Begin a new map with this frame, at the pose of the state."""
+        self._awaited_update()
         self._images = self._map = None
         roles = usable_roles(frame, _ROLES)
         images = BandImages.of(frame, roles, self._config.photometric, self._lag_s)

@@ -25,6 +25,8 @@ from thermal_stereo_vo.odometry.keyframe_poses import KeyframePoses
 from thermal_stereo_vo.odometry.pose_chain import PoseEstimate
 
 _INFORMATION_GAIN = 0.2
+_MEASURED = 0.25
+"""A distance is measured that is known better than that, relatively, 1 sigma."""
 MOST_MISSES = 3
 """A point that should be in sight but does not fit this many times in a row is given up."""
 
@@ -150,6 +152,11 @@ class PhotometricWindow:
         in_host = points.bearings / points.rhos[:, None]
         return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], in_host) + T[:, :3, 3])
 
+    def are_measured(self, points: PointSet) -> NDArray[np.bool_]:
+        """(N,) whether distances are known to a quarter or better, which no guess claims to be."""
+        sigmas = self.sigma / np.sqrt(np.maximum(points.rho_information, 1e-12))
+        return np.asarray(sigmas < _MEASURED * points.rhos)
+
     def intensities(self, points: PointSet) -> NDArray[np.float32]:
         """(N,) counts of the points' pixels."""
         return self._intensity[points.index]
@@ -250,6 +257,9 @@ class PhotometricWindow:
             gate=config.gate,
             weight=config.marginal_weight,
         )
+        if self.has_image[self.poses.newest].all():
+            # Windows with all cameras tell the lag anew, which may grow; else the past must.
+            self._prior = self._prior.forgetting_lag()
         # The keyframe itself is out of the prior already.
         self._drop(mine.index)
         self.poses.drop(slot)
@@ -257,9 +267,6 @@ class PhotometricWindow:
     def forget_prior(self) -> None:
         """Believe no longer what keyframes said that have left."""
         self._prior = None
-        if self.has_image[self.poses.newest].all():
-            # Windows with all cameras tell the lag anew, which may grow; else the past must.
-            self._prior = self._prior.forgetting_lag()
 
     def add_points(
         self,
@@ -421,6 +428,10 @@ class PhotometricWindow:
         self.brightness[self.poses.order, camera] = solution.brightness[:, camera]
         mine = points.host_cameras == camera
         self._rhos[points.index[mine]] = solution.rhos[mine]
+
+    def drop_camera(self, camera: int) -> None:
+        """Give up all points of a camera."""
+        self._drop(np.flatnonzero(self._host_cameras == camera))
 
     def _drop(self, index: NDArray[np.int64]) -> None:
         self._hosts[index] = -1
