@@ -71,7 +71,7 @@ CASES = {
 
 FLIGHTS = (
     *(f"ms-{n:02d}" for n in range(1, 8)),
-    *(f"ms-01+{case}" for case in CASES),
+    *(f"ms-07+{case}" for case in CASES),
     "ms-forward",
     "ms-still",
     "ms-dusk",

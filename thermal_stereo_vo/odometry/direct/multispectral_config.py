@@ -151,8 +151,8 @@ class MultispectralConfig:
     )
     rig_check_ms: float = setting(
         2.5,
-        "Change of the thermal camera's lag, while the scale is looked for, that makes the status "
-        "DEGRADED and keeps the scale unknown: the cameras' stamps come from two clocks.",
+        "Change of the thermal camera's lag within ten windows that makes the status DEGRADED, and "
+        "keeps the scale unknown where it is: the cameras' stamps come from two clocks.",
         unit="ms",
         minimum=0.1,
         maximum=1000.0,
