@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from thermal_stereo_vo.core.errors import OutOfOrderError
 from thermal_stereo_vo.core.results import TrackingStatus, TrackStats
 from thermal_stereo_vo.core.transforms import exp_se3, inverse
-from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_reasons, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig, StatusMachine
 
 S = 1_000_000_000
@@ -260,6 +260,15 @@ def test_stage_times_are_put_into_the_result():
     result = with_stages(s.started(TrackStats(features=7)), {"match": 1.5})
     assert result.stats.stage_ms == {"match": 1.5}
     assert result.stats.features == 7
+
+
+def test_reasons_are_told_one_after_the_other_where_there_are_any():
+    s = state()
+    s.advance(0)
+    started = s.started(TrackStats(), "first")
+    assert with_reasons(started, "", "second", "third").reason == "first; second; third"
+    assert with_reasons(started, "").reason == "first"
+    assert with_reasons(s.started(TrackStats(), ""), "", "second").reason == "second"
 
 
 NO_LAG = Lag()

@@ -186,6 +186,138 @@ def test_the_map_holds_when_a_keyframe_makes_room_for_another(flight, room):
         assert 1e-4 < np.percentile(to_wall_m, 80) < 0.12
 
 
+# ------------------------------------------------------------------------------- work that fails
+
+
+def fails(odometry, first, last=None, *, has_points=False):
+    """Let the work on these keyframes fail (0 is the first one), with new points or before them."""
+    complete, asked = odometry._complete, []
+
+    def complete_or_fail(*args):
+        asked.append(args)
+        is_sound = not first <= len(asked) - 1 <= (last or first)
+        completed = complete(*args) if is_sound or has_points else None
+        if not is_sound:
+            raise np.linalg.LinAlgError("singular matrix")
+        return completed
+
+    odometry._complete = complete_or_fail
+    return odometry
+
+
+def failures(results):
+    return [k for k, result in enumerate(results) if "LinAlgError: singular" in result.reason]
+
+
+@pytest.fixture(params=[1, 2], ids=["alone", "with a worker"])
+def often(request):
+    """Odometry that makes a keyframe every few frames, with and without a worker."""
+    return create(f"threads={request.param}", "windowed.keyframes.parallax_px=4")
+
+
+@pytest.mark.parametrize("has_points", [False, True], ids=["no points", "no adjustment"])
+def test_work_that_fails_is_told_once_and_the_next_keyframe_has_another_try(
+    flight, often, has_points
+):
+    poses, frames = flight
+    fails(often, 1, has_points=has_points)
+    results = [often.process(frame) for frame in frames]
+    second = keyframes(results)[1]
+    assert failures(results) == [second + 1]
+    # A keyframe without points of its own is followed by another at once.
+    assert (second + 1 in keyframes(results)) == (not has_points)
+    assert len(keyframes(results)) >= 5
+    for result, T in zip(results[1:], poses[1:], strict=True):
+        assert result.status is TRACKING
+        assert error_m(result, T) < 0.03
+    assert any(results[-1].stats.right_turn_mrad)  # later ones were adjusted
+
+
+@pytest.mark.parametrize("has_points", [False, True], ids=["no points", "no adjustment"])
+def test_a_keyframe_whose_work_failed_counts_the_points_it_has(flight, often, has_points):
+    """The next one is due when too few of those are left."""
+    _, frames = flight
+    sound = create("windowed.keyframes.parallax_px=4")
+    fails(often, 1, has_points=has_points)
+    for frame in frames:
+        inliers = often.process(frame).stats.inliers
+        if sound.process(frame).stats.keyframe and inliers:
+            break
+    counts = []
+    for odometry in (often, sound):
+        odometry.process(blind(frames[-1]))
+        counts.append(odometry._keyframe_count)
+    assert counts[0] == (counts[1] if has_points else inliers)
+    assert inliers < counts[1]
+
+
+def test_a_start_that_fails_is_told_and_tried_again(flight, often):
+    poses, frames = flight
+    fails(often, 0)
+    results = [often.process(frame) for frame in frames[:4]]
+    assert results[0].status is INITIALISING
+    assert "too few points with a depth to start from; the work on the newest" in results[0].reason
+    assert failures(results) == [0]
+    assert results[1].reason == "first frame"
+    moved = np.linalg.inv(results[1].T_world_rig) @ results[3].T_world_rig
+    np.testing.assert_allclose(moved, np.linalg.inv(poses[1]) @ poses[3], atol=0.02)
+
+
+def test_work_that_fails_for_long_costs_the_window_but_not_the_odometry(flight):
+    """Room for three keyframes: nothing is left of the points when it works again."""
+    poses, frames = flight
+    odometry = fails(create("window=3", "windowed.keyframes.parallax_px=4"), 1, 5)
+    results = [odometry.process(frame) for frame in frames]
+    assert GAP in {result.status for result in results}
+    assert len(failures(results)) >= 4
+    assert failures(results)[-1] < 10
+    assert results[-1].status is TRACKING
+    moved = np.linalg.inv(results[-4].T_world_rig) @ results[-1].T_world_rig
+    np.testing.assert_allclose(moved, np.linalg.inv(poses[-4]) @ poses[-1], atol=0.02)
+
+
+def until_keyframe(odometry, frames):
+    """How many frames it takes until the last one has become a keyframe, after the first."""
+    made = (odometry.process(frame).stats.keyframe for frame in frames)
+    return next(n for n, keyframe in enumerate(made, start=1) if keyframe and n > 1)
+
+
+def test_a_failure_does_not_hide_why_a_frame_was_not_measured(flight, often):
+    poses, frames = flight
+    n = until_keyframe(fails(often, 1), frames)
+    results = [often.process(blind(frames[n]))]
+    assert "ffc" in results[0].reason
+    assert "; the work on the newest keyframe failed: LinAlgError: sing" in results[0].reason
+    results += [often.process(frame) for frame in frames[n + 1 :]]
+    assert failures(results) == [0]
+    assert error_m(results[-1], poses[-1]) < 0.03
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_last_view_that_cannot_be_kept_is_told_at_once(flight, threads):
+    """What one eye goes on with are the keyframes there were."""
+    poses, frames = flight
+    odometry = fails(create(f"threads={threads}"), 1)
+    assert keyframes([odometry.process(frame) for frame in frames[:6]]) == [0]
+    one_eyed = [replace(f, views={"left": f.views["left"]}) for f in frames[6:9]]
+    results = [odometry.process(frame) for frame in [*one_eyed, *frames[9:]]]
+    assert failures(results) == [0]
+    for result, T in zip(results, poses[6:], strict=True):
+        assert result.status in (TRACKING, DEGRADED)
+        assert error_m(result, T) < 0.05
+
+
+def test_work_that_fails_does_not_hold_up_a_reset(flight, often):
+    poses, frames = flight
+    n = until_keyframe(fails(often, 1), frames)
+    often.reset(poses[n])
+    results = [often.process(frame) for frame in frames[n:]]
+    assert not failures(results)
+    assert results[0].reason == "first frame"
+    for result, T in zip(results, poses[n:], strict=True):
+        assert error_m(result, T) < 0.03
+
+
 # ---------------------------------------------------------------------------- turn of the right eye
 
 

@@ -86,6 +86,34 @@ def test_one_blind_eye_does_not_end_a_turn(turn, eye):
     assert max(errors_m(results, poses)[17:]) < 0.01
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_points_of_one_eye_that_cannot_be_had_are_looked_for_in_the_next_frame(turn, eye, threads):
+    """Two frames later the turn leaves hardly any of the old ones in the picture."""
+    poses, frames = turn
+    settings = ["window=7", f"threads={threads}"]
+    odometry = create_odometry(with_overrides(OdometryConfig(), settings))
+    complete, asked = odometry._complete_one_eye, []
+
+    def fail_first(*args):
+        asked.append(args)
+        if len(asked) == 1:
+            raise ValueError("no neighbours")
+        return complete(*args)
+
+    odometry._complete_one_eye = fail_first
+    results = [
+        odometry.process(without(f, eye) if 6 <= i < 16 else f) for i, f in enumerate(frames)
+    ]
+    told = [i for i, r in enumerate(results) if "ValueError: no neighbours" in r.reason]
+    assert len(told) == 1
+    assert len(asked) >= 2
+    assert results[told[0] - 1].stats.keyframe
+    assert results[told[0]].stats.keyframe
+    assert letters(results) == "I" + 25 * "T"
+    assert max(errors_m(results, poses)) < 0.06
+
+
 def test_a_stop_within_a_gap_costs_no_keyframe(room):
     """What is predicted is far off; what is seen is what was seen before."""
     rng = np.random.default_rng(6)

@@ -8,7 +8,7 @@ import pytest
 from thermal_stereo_vo.core.config import with_overrides
 from thermal_stereo_vo.odometry.factory import OdometryConfig, create_odometry
 from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
-from thermal_stereo_vo.odometry.workers import make_worker
+from thermal_stereo_vo.odometry.workers import make_worker, outcome
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -32,6 +32,27 @@ def test_errors_come_with_the_result(threads):
     future = make_worker(threads, "helper").submit(int, "x")
     with pytest.raises(ValueError, match="invalid literal"):
         future.result()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_outcome_of_a_job_is_what_it_gives_or_why_it_failed(threads):
+    worker = make_worker(threads, "helper")
+    assert outcome(worker.submit(max, 3, 5), "looking") == (5, "")
+    for job, why in ((int, "ValueError: invalid literal"), ({}.__getitem__, "KeyError: 'x'")):
+        found, failure = outcome(worker.submit(job, "x"), "looking")
+        assert found is None
+        assert failure.startswith(f"looking failed: {why}")
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_is_no_failure_of_a_job(threads):
+    """Who wants to stop the program shall not be told that an adjustment failed."""
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        outcome(make_worker(threads, "helper").submit(interrupt), "looking")
 
 
 @pytest.mark.parametrize("window", [0, 3])

@@ -278,6 +278,11 @@ def _turned(rotation: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return make_transform(np.eye(3) if rotation is None else rotation, np.zeros(3))
 
 
+def with_reasons(result: OdometryResult, *reasons: str) -> OdometryResult:
+    """The result with more to say of it, where there is more."""
+    return replace(result, reason="; ".join(text for text in (result.reason, *reasons) if text))
+
+
 def with_stages(result: OdometryResult, stage_ms: dict[str, float]) -> OdometryResult:
     """The result with the times of its stages."""
     return replace(result, stats=replace(result.stats, stage_ms=stage_ms))

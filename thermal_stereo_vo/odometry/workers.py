@@ -34,6 +34,20 @@ def timed(job: Callable[..., Result], *args: Any, **kwargs: Any) -> tuple[Result
     return result, (time.thread_time() - start) * 1e3
 
 
+def outcome(future: Future[Result], job: str) -> tuple[Result, str] | tuple[None, str]:
+    """Wait for what a job gives: that and nothing, or None and a sentence why the job failed.
+
+    Whatever it is that work beside the main thread raises, the odometry goes on without it.
+
+    >>> outcome(InlineExecutor().submit(int, "x"), "counting")[1]
+    "counting failed: ValueError: invalid literal for int() with base 10: 'x'"
+    """
+    try:
+        return future.result(), ""
+    except Exception as error:
+        return None, f"{job} failed: {type(error).__name__}: {error}"
+
+
 def make_worker(threads: int, name: str) -> Executor:
     """One more thread called ``name`` where two may be used, else none.
 

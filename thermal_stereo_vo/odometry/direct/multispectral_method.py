@@ -31,9 +31,9 @@ from thermal_stereo_vo.odometry.direct.multispectral_config import Multispectral
 from thermal_stereo_vo.odometry.direct.photometric_window import PhotometricWindow
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
-from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import Lag, OdometryState, with_reasons, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
-from thermal_stereo_vo.odometry.workers import make_worker, timed
+from thermal_stereo_vo.odometry.workers import make_worker, outcome, timed
 
 _ROLES = (VISIBLE, THERMAL)
 _TOP, _SECOND_TOP = 3, 1
@@ -136,7 +136,7 @@ class MultispectralOdometry:
 
     def _explained(self, result: OdometryResult) -> OdometryResult:
         """With all that there is to say of it."""
-        reasons, self._failure = [result.reason, self._failure], ""
+        reasons, self._failure = [self._failure], ""
         if self._map is None or not self._map.is_metric:
             result = without_unit(result)
         else:
@@ -146,7 +146,7 @@ class MultispectralOdometry:
             reasons.append(fault or self._map.open_size or "")
             if fault is not None:
                 result = replace(result, status=TrackingStatus.DEGRADED)
-        return replace(result, reason="; ".join(reason for reason in reasons if reason))
+        return with_reasons(result, *reasons)
 
     # --- tracking ---------------------------------------------------------------------------------
 
@@ -315,18 +315,18 @@ class MultispectralOdometry:
         return f"what the {band_map.roles[1]} camera shows does not fit, and is left out"
 
     def _awaited_update(self) -> MapUpdate | None:
-        """What the adjustment under way has found; None where there is none, or where it failed."""
+        """What the adjustment under way has found; None where there is none, or where it failed.
+
+        The next keyframe has another try.
+        """
         update, self._update = self._update, None
         if update is None:
             return None
-        try:
-            with self._timer.stage("wait for bundle"):
-                found, spent_ms = update.result()
-        except Exception as error:  # whatever it is, the next keyframe has another try
-            self._failure = (
-                f"the adjustment of the keyframes failed: {type(error).__name__}: {error}"
-            )
+        with self._timer.stage("wait for bundle"):
+            done, self._failure = outcome(update, "the adjustment of the keyframes")
+        if done is None:
             return None
+        found, spent_ms = done
         self._timer.add("bundle", spent_ms)
         return found
 

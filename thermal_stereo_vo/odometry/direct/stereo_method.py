@@ -10,7 +10,7 @@ what those say of the others stays as a prior; the oldest that is left is held.
 from __future__ import annotations
 
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +46,9 @@ from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCam
 from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
-from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_reasons, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
-from thermal_stereo_vo.odometry.workers import make_worker, timed
+from thermal_stereo_vo.odometry.workers import make_worker, outcome, timed
 
 _ROLES = (LEFT, RIGHT)
 _OVERSAMPLING = 1.5
@@ -188,8 +188,7 @@ class StereoDirectOdometry:
             result = self._start(frame)
         else:
             result = self._track(self._window, frame)
-        reason = "; ".join(text for text in (result.reason, failure) if text)
-        return with_stages(replace(result, reason=reason), self._timer.take())
+        return with_stages(with_reasons(result, failure), self._timer.take())
 
     # --- tracking ---------------------------------------------------------------------------------
 
@@ -327,16 +326,17 @@ class StereoDirectOdometry:
         """Wait for the adjustment that the last frame started, and take it over.
 
         It is always taken over just before the next frame, however fast it was: timing must not
-        change results.  One that failed leaves the window as it is; returns why, else nothing.
+        change results.  One that failed leaves the window as it is, and the next keyframe has
+        another try; returns why, else nothing.
         """
         bundle, self._bundle = self._bundle, None
         if bundle is None:
             return ""
-        try:
-            with self._timer.stage("wait for bundle"):
-                solution, spent_ms = bundle.result()
-        except Exception as error:  # whatever it is, the next keyframe has another try
-            return f"the adjustment of the keyframes failed: {type(error).__name__}: {error}"
+        with self._timer.stage("wait for bundle"):
+            done, failure = outcome(bundle, "the adjustment of the keyframes")
+        if done is None:
+            return failure
+        solution, spent_ms = done
         self._timer.add("bundle", spent_ms)
         points = self._bundle_points
         if solution is not None and points is not None:

@@ -12,7 +12,7 @@ patches are lost (a gap, a fast turn), descriptors find the way back to the newe
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,9 +59,9 @@ from thermal_stereo_vo.odometry.feature_based.stereo_projection import StereoCam
 from thermal_stereo_vo.odometry.feature_based.warm_up import synthetic_pair
 from thermal_stereo_vo.odometry.gyro import GyroIntegrator
 from thermal_stereo_vo.odometry.interface import Requirements
-from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_stages
+from thermal_stereo_vo.odometry.odometry_state import OdometryState, with_reasons, with_stages
 from thermal_stereo_vo.odometry.status_machine import StatusConfig
-from thermal_stereo_vo.odometry.workers import make_worker
+from thermal_stereo_vo.odometry.workers import make_worker, outcome
 
 MOST_MISSES = 3
 """A point that should be in sight but is not found this many times in a row is given up."""
@@ -168,6 +168,7 @@ class WindowedOdometry:
             left_over = config.extrinsics.scale_share * status.scale_sigma
             status = replace(status, scale_sigma=left_over)
         self._state = OdometryState(status, np.eye(4), gyro)
+        self._completion: Future[_Completed] | None = None
         self._forget()
 
     def warm_up(self) -> None:
@@ -187,7 +188,11 @@ class WindowedOdometry:
         self._forget()
 
     def _forget(self) -> None:
-        self._finish_keyframe_unused()
+        if self._completion is not None:
+            wait([self._completion])  # what it finds, or raises, is of no use any more
+        self._completion = None
+        self._failure = ""
+        """Why the last work on a keyframe came to nothing, until it is told."""
         self._matcher.reset()
         self._tracker.reset()
         self._extrinsics = ExtrinsicsRefiner(self._config.extrinsics, self._room)
@@ -198,7 +203,6 @@ class WindowedOdometry:
         self._most_inliers = 0
         self._keyframe_features: StereoFeatures | None = None
         self._keyframe_count = 0
-        self._completion: Future[_Completed] | None = None
         self._last_measured = self._state.pose
         self._last_measured_ns = 0
         self._last_covariance = np.zeros((6, 6))
@@ -229,7 +233,8 @@ class WindowedOdometry:
             result = self._start(frame)
         else:
             result = self._track(self._window, frame)
-        return with_stages(result, self._timer.take())
+        failure, self._failure = self._failure, ""
+        return with_stages(with_reasons(result, failure), self._timer.take())
 
     # --- tracking ---------------------------------------------------------------------------------
 
@@ -397,7 +402,6 @@ class WindowedOdometry:
             )
         self._keyframe, self._keyframe_features = frame, None
         self._keyframe_slot, self._newest_is_by_one_eye = window.newest, False
-        self._most_inliers = 0
         self._completion = self._worker.submit(self._complete, window, frame, pyramids, occupied_px)
 
     def _complete(
@@ -459,7 +463,6 @@ class WindowedOdometry:
             seen_by_one_eye(tracked.observed[inliers]),
         )
         self._newest_is_by_one_eye = True
-        self._most_inliers = 0
         if self._keyframe_slot == window.newest:
             self._keyframe = None
         self._completion = self._worker.submit(
@@ -500,14 +503,19 @@ class WindowedOdometry:
         """Wait for the points and the adjustment that the last frame started, and take them over.
 
         It is always taken over just before the next frame, however fast it was: timing must not
-        change results.
+        change results.  Where it failed, the keyframe stays where it was measured, with the points
+        it has got; one without points of its own is followed by another at once.
         """
-        if self._completion is None:
+        completion, self._completion = self._completion, None
+        if completion is None:
             return
         with self._timer.stage("wait for keyframe"):
-            completed = self._completion.result()
-        self._completion = None
-        self._keyframe_count = completed.points
+            completed, failure = outcome(completion, "the work on the newest keyframe")
+        if completed is None:
+            self._failure = failure
+            self._keyframe_count = int(np.isfinite(window.seen_by_newest()[:, 0]).sum())
+            return
+        self._keyframe_count, self._most_inliers = completed.points, 0
         solution = completed.bundle
         if solution is not None:
             covariance = self._config.covariance_scale * solution.covariance
@@ -517,11 +525,6 @@ class WindowedOdometry:
             window.right_turn_rad = self._extrinsics.turn_rad
             # The last frame was that keyframe: the pose goes on from where it is now known to be.
             self._state.pose = self._last_measured = window.newest_pose()
-
-    def _finish_keyframe_unused(self) -> None:
-        completion = getattr(self, "_completion", None)
-        if completion is not None:
-            completion.result()
 
     # --- start and recovery -----------------------------------------------------------------------
 
