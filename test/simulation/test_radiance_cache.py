@@ -71,6 +71,18 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, rendered) -> None
     np.testing.assert_array_equal(whole[6], stopped[6])
 
 
+def test_two_runs_may_fill_one_folder_at_once(tmp_path) -> None:
+    plain = with_overrides(find_preset("seq4").config, TINY)
+    config = with_overrides(plain, (f"render.cache={tmp_path / 'kept'}",))
+    one, other = (Simulation("seq4", config).frames() for _ in range(2))
+    seen = [next(one).image for _ in range(3)]
+    for _ in range(7):
+        next(other)
+    seen += [frame.image for frame in one]
+    for a, frame in zip(seen, Simulation("seq4", plain).frames(), strict=True):
+        np.testing.assert_array_equal(a, frame.image)
+
+
 def test_pictures_of_another_run_are_refused(tmp_path) -> None:
     run(tmp_path)
     with pytest.raises(SimulationError, match="keeps the pictures of another run: choose an empty"):

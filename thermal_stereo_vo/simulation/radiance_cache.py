@@ -82,14 +82,16 @@ def cached_signals(
     def find(exposure: Exposure) -> NDArray[np.uint16] | None:
         return cache.find(plan.roles[exposure.camera], exposure.index, exposure.time_s)
 
-    missing = [exposure for exposure in exposures if find(exposure) is None]
+    # What is missing is settled now: another process may fill the same folder meanwhile.
+    kept = [find(exposure) is not None for exposure in exposures]
+    missing = [exposure for exposure, is_kept in zip(exposures, kept, strict=True) if not is_kept]
     jobs = [(plan.roles[exposure.camera], exposure.time_s) for exposure in missing]
     rendered = render_in_order(plan, jobs, config.workers if missing else 0)
     try:
-        for exposure in exposures:
-            signal = find(exposure)
-            if signal is None:
-                signal = next(rendered)
+        for exposure, is_kept in zip(exposures, kept, strict=True):
+            signal = find(exposure) if is_kept else next(rendered)
+            assert signal is not None
+            if not is_kept:
                 cache.keep(plan.roles[exposure.camera], exposure.index, exposure.time_s, signal)
             yield signal
     finally:
