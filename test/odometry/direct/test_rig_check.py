@@ -45,6 +45,16 @@ def fly(frames, T_rig_thermal):
     return results
 
 
+def never_doubted(results):
+    """It may wait for the scale, and says so, but blames nobody."""
+    return all(
+        result.status is TrackingStatus.TRACKING
+        and (result.scale_converged or "move sideways and turn" in result.reason)
+        and "camera" not in result.reason
+        for result in results[1:]
+    )
+
+
 def turned(degrees, axis):
     T = T_RIG_CAMERA[THERMAL]
     return T @ make_transform(exp_so3(np.radians(degrees) * np.eye(3)[axis]), np.zeros(3))
@@ -52,8 +62,9 @@ def turned(degrees, axis):
 
 def test_a_right_rig_is_never_doubted(frames):
     results = fly(frames, T_RIG_CAMERA[THERMAL])
-    assert all(result.reason == "" for result in results[1:])
+    assert never_doubted(results)
     assert results[-1].scale_converged
+    assert results[-1].reason == ""
 
 
 def test_straight_ahead_a_right_rig_is_not_doubted():
@@ -61,7 +72,7 @@ def test_straight_ahead_a_right_rig_is_not_doubted():
     room, rng = Room(3), np.random.default_rng(5)
     poses = [make_transform(np.eye(3), [0.0, 0.0, -1.5 + 0.03 * i]) for i in range(60)]
     results = fly([room.frame(i, T, rng) for i, T in enumerate(poses)], T_RIG_CAMERA[THERMAL])
-    assert all(result.reason == "" for result in results[1:])
+    assert never_doubted(results)
     assert not any(result.scale_converged for result in results)
 
 
