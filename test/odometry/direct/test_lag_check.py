@@ -83,12 +83,12 @@ def test_stamps_that_begin_to_roll_when_metres_are_known_are_told():
     room, rng = Room(3), np.random.default_rng(5)
     odometry = create_odometry(with_overrides(OdometryConfig(), SETTINGS))
     before, after = [], []
-    for i in range(115):
-        late_s = 6e-4 * max(0, i - 75)
+    for i in range(90):
+        late_s = 6e-4 * max(0, i - 55)
         now = room.frame(i, sway(0.05 * i), rng)
         then = room.frame(i, sway(0.05 * i - late_s), rng)
         frame = replace(now, views={**now.views, THERMAL: then.views[THERMAL]})
-        (before if i < 75 else after).append(odometry.process(frame))
+        (before if i < 55 else after).append(odometry.process(frame))
     assert before[-1].scale_converged
     assert not any("clock" in result.reason for result in before)
     assert after[-1].status is TrackingStatus.DEGRADED
